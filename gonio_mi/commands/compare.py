@@ -119,12 +119,16 @@ def run(options: Namespace) -> int:
     )
     if options.output is not None:
         comparison.plot(options.output)
-    if options.json:
-        tell_json(comparison.to_dict())
-    else:
-        tell(comparison)
-    if options.budget is not None:
-        _tell_budget(comparison, specimen, other, options)
+    said = [comparison]
+    try:
+        if options.budget is not None:
+            said.append(_saved_budget(comparison, specimen, other, options))
+    finally:  # also if the effect of the aperture cannot be told
+        if options.json:
+            tell_json(comparison.to_dict())
+        else:
+            for one in said:
+                tell(one)
     if comparison.undecided:
         return INCOMPLETE
     return DONE if comparison.passed else FAILED
@@ -195,10 +199,10 @@ def _measured(specimen: tuple[Any, Any], like: Any, options: Namespace) -> Any:
     )
 
 
-def _tell_budget(
+def _saved_budget(
     comparison: Any, specimen: Any, other: Any, options: Namespace
-) -> None:
-    """Write the uncertainty budget, and print its sum."""
+) -> Any:
+    """Uncertainty budget, after it was written."""
     from ..comparison import aperture_effect, uncertainty_budget
     from ..files.measured_table import MeasuredTable
 
@@ -218,5 +222,4 @@ def _tell_budget(
             )
     budget = uncertainty_budget(comparison, scale or 0.0, aperture)
     budget.save(options.budget)
-    if not options.json:
-        tell(budget)
+    return budget

@@ -71,16 +71,19 @@ def run(options: Namespace) -> int:
         )
     spectral = wavelengths_nm(records[0].channels) is not None
     set_variant("llvm_ad_spectral" if spectral else "llvm_ad_rgb")
-    for path in options.output:
-        losses = export(records, path, options.basis or "klems", progress=True)
-        for name in written_files(records[0], path):
-            tell(name)
-        for line in losses if options.every else in_words(losses):
-            tell(f"  {line}")
-        if Path(path).suffix.lower() == ".xml":
-            tell(f"  blocks: {BLOCKS}")
-        in_klems = Path(path).suffix.lower() == ".xml" and not options.basis
-        if in_klems and max(one.misplaced for one in losses) > MAX_MISPLACED:
-            rank = 4 if len(set(records[0].phi_i.tolist())) > 1 else 3
-            tell(f"  --basis tensor{rank} is finer")
+    said: list[str] = []
+    try:
+        for path in options.output:
+            losses = export(records, path, options.basis or "klems", progress=True)
+            said += map(str, written_files(records[0], path))
+            said += [f"  {x}" for x in (losses if options.every else in_words(losses))]
+            if Path(path).suffix.lower() == ".xml":
+                said.append(f"  blocks: {BLOCKS}")
+            in_klems = Path(path).suffix.lower() == ".xml" and not options.basis
+            if in_klems and max(one.misplaced for one in losses) > MAX_MISPLACED:
+                rank = 4 if len(set(records[0].phi_i.tolist())) > 1 else 3
+                said.append(f"  --basis tensor{rank} is finer")
+    finally:  # of those files that were written
+        for line in said:
+            tell(line)
     return DONE

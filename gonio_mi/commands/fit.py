@@ -114,6 +114,10 @@ def run(options: Namespace) -> int:
         for model in _distributions(given)
     ]
     fits.sort(key=lambda one: (one.scatter, one.chi2))
+    for path in pictures:
+        fit_figure(fits, path)
+    for path in predictions:
+        fits[0].prediction.save(path)
     if options.json:
         found = [one.to_dict() for one in fits]
         tell_json(found)
@@ -125,10 +129,6 @@ def run(options: Namespace) -> int:
     write = say if options.json else tell
     for note in record.notes if isinstance(record, MeasuredTable) else ():
         write(f"note: {note}")
-    for path in pictures:
-        fit_figure(fits, path)
-    for path in predictions:
-        fits[0].prediction.save(path)
     return DONE
 
 

@@ -197,9 +197,15 @@ def _run(options: Namespace, orders: Sequence[str] = ()) -> int:
         warnings.simplefilter("ignore", LostLightWarning)
         measured = _measured(specimen, options, orders, settings)
         ctrl_c.ignored = True
-        for order, record in (measured if orders else {"": measured}).items():
-            output = [_order_path(path, order) for path in options.output]
+        records = measured if orders else {"": measured}
+        outputs = [
+            [_order_path(path, one) for path in options.output] for one in records
+        ]
+        unsaved = list(map(_save, records.values(), outputs))
+        for record, output in zip(records.values(), outputs):
             code = max(code, _finish(record, options, output, ctrl_c.pressed))
+        if any(unsaved):
+            code = USER_ERROR
         parts.finished = code != USER_ERROR
     return code
 
@@ -218,8 +224,7 @@ def _check_kind(path: str) -> None:
 def _finish(
     record: Record, options: Namespace, output: Sequence[str], pressed: bool
 ) -> int:
-    """Save and show a record; return the exit code."""
-    unsaved = _save(record, output)
+    """Show a record, which was saved; return the exit code."""
     numbers = summarize(record)
     if options.quiet:
         for text in numbers.warnings:
@@ -228,8 +233,6 @@ def _finish(
         tell(summary_text(numbers))
     if pressed:
         say(f"interrupted: {_remains(options, output, record)}")
-    if unsaved:
-        return USER_ERROR
     return INCOMPLETE if pressed or is_imprecise(record) else DONE
 
 

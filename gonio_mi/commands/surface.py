@@ -175,14 +175,14 @@ def run(options: Namespace) -> int:
         check_picture(options.output)
     name, parameters = specimen_of(options.specimen, options)
     specimen = prepared_surface(name, options)
-    joined = True
+    joined, said = True, []
     if isinstance(name, str) and is_height_map(name):
         given = given_options(options, HEIGHT_MAP)
         given["height_range"] = given.pop("range", None)
         source = read_height_map(Path(name), image_heights)
         found = topography(source, Preparation(periodic=specimen["periodic"], **given))
         joined = found.periodic
-        tell(found.summary() + "\n")
+        said.append(found.summary() + "\n")
         for concern in found.concerns():
             say(f"warning: {concern}")
     period = options.period or ("box" if joined else "none")
@@ -196,7 +196,8 @@ def run(options: Namespace) -> int:
             points=options.points,
             blocks=options.blocks,
         )
-    tell(normals)
     if options.output is not None:
         normals.plot(options.output)
+    for text in [*said, normals]:
+        tell(text)
     return DONE

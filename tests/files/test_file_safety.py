@@ -364,17 +364,53 @@ def test_closed_streams(tmp_path, closed, words):
         assert "dhr" in done.stdout
 
 
+class Gone:
+    """A stream whose reader has left."""
+
+    def write(self, _):
+        raise BrokenPipeError(errno.EPIPE, "Broken pipe")
+
+    def flush(self):
+        pass
+
+    def fileno(self):
+        return os.open(os.devnull, os.O_WRONLY)
+
+
 @POSIX
 def test_a_reader_of_errors_that_has_left(tmp_path, monkeypatch):
-    class Gone:
-        def write(self, _):
-            raise BrokenPipeError(errno.EPIPE, "Broken pipe")
-
-        def flush(self):
-            pass
-
     monkeypatch.setattr(sys, "stderr", Gone())
     assert cli.main(["show", str(tmp_path / "absent.npz")]) == cli.USER_ERROR
+
+
+@POSIX
+@pytest.mark.parametrize(
+    "words",
+    [
+        "surface z.npy --size 2 -o a.png",
+        "fit run.npz diffuse -o a.png a.npz",
+        "export run.npz -o a.csv a.nc",
+        "compare run.npz diffuse --rays 1e4 -o a.png --budget a.csv",
+        "measure diffuse --theta-i 0 --rays 1e4 --order 1,2+ -o a.npz",
+    ],
+)
+def test_a_reader_that_has_left_costs_no_file(tmp_path, monkeypatch, words):
+    """All of them are written before anything is printed."""
+    pytest.importorskip("matplotlib")
+    monkeypatch.chdir(tmp_path)
+    mi.set_variant("llvm_ad_mono")
+    np.save("z.npy", np.random.default_rng(1).random((8, 8)) / 100)
+    gonio.measure({"type": "diffuse"}, 30, rays=10_000).save("run.npz")
+    given = set(tmp_path.iterdir())
+    monkeypatch.setattr(sys, "stdout", Gone())
+    assert cli.main(words.split()) == cli.USER_ERROR
+    written = {path.suffix for path in set(tmp_path.iterdir()) - given}
+    assert written == {Path(word).suffix for word in words.split() if word[:2] == "a."}
+    if "--order" in words:
+        assert {path.stem for path in tmp_path.glob("a*")} == {
+            "a_order_1",
+            "a_order_2+",
+        }
 
 
 # ----------------------------------------------------------------------------- writing
