@@ -130,6 +130,11 @@ class PackageError(ImportError):
     """A package is missing that only some of the instrument needs."""
 
 
+def to_install(extra: str) -> str:
+    """How to install the packages of an extra: gonio-mi is in no index of packages."""
+    return f'run pip install ".[{extra}]" in a checkout of gonio-mi'
+
+
 class SpecimenError(SettingError):
     """A specimen or scene that cannot be loaded or is not measurable."""
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from .. import llvm
 from ..campaigns.measure import measure_whole
-from ..errors import LLVMError
+from ..errors import LLVMError, to_install
 from ..results.record import Record
 from ..transport.variants import parallel_variants
 
@@ -97,7 +97,7 @@ def _package(name: str) -> Row:
 
 def _extra(name: str, extra: str) -> Row:
     row = _package(name)
-    line = f"not installed, optional: run `pip install gonio-mi[{extra}]`"
+    line = f"not installed, optional: {to_install(extra)}"
     return row if row.ok else Row(name, line, True)
 
 

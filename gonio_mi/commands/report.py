@@ -3,7 +3,7 @@
 Write one HTML page that opens from disk, without a network: maps with the value under
 the pointer, sliders over incident directions, cuts, lobes, totals and ledger; two
 records beside each other, with their difference in standard errors. Needs plotly: pip
-install "gonio-mi[report]".
+install ".[report]" in a checkout.
 """
 
 from argparse import ArgumentParser, Namespace

@@ -8,7 +8,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from ..errors import PackageError
+from ..errors import PackageError, to_install
 from ..results.record import Record, wavelengths_nm
 from .header import FRAMES
 
@@ -48,7 +48,7 @@ def dataset(record: Record) -> Any:
     except ImportError:
         raise PackageError(
             "labelled arrays and NetCDF files need xarray, which is not installed: "
-            'pip install "gonio-mi[netcdf]"'
+            f"{to_install('netcdf')}"
         ) from None
     stack = list(record)
     names = ["reflection", "transmission"][: record.n_hemispheres]
@@ -118,8 +118,7 @@ def write(record: Record, stream: BinaryIO, engine: str = "scipy") -> None:
     arrays = dataset(record)
     if find_spec(engine) is None:
         raise PackageError(
-            f"HDF5 files need {engine}, which is not installed: "
-            'pip install "gonio-mi[netcdf]"'
+            f"HDF5 files need {engine}, which is not installed: {to_install('netcdf')}"
         )
     with TemporaryDirectory() as folder:
         path = Path(folder) / "record"

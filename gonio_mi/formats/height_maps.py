@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..array_types import Floats
-from ..errors import FileFormatError, PackageError, SpecimenError, no_file
+from ..errors import FileFormatError, PackageError, SpecimenError, no_file, to_install
 
 # Endings of the files of instruments, and the formats in which the library
 # SurfaceTopography may read each. Left out are containers of anything (HDF5, NetCDF,
@@ -138,7 +138,7 @@ def _foreign(path: Path, formats: str) -> HeightMap:
     if find_spec("SurfaceTopography") is None:
         raise PackageError(
             f"the library SurfaceTopography must be installed to read {path.name}: "
-            'pip install "gonio-mi[surfaces]"'
+            f"{to_install('surfaces')}"
         )
     try:
         facts, heights = read_apart(str(path), formats.split(","))

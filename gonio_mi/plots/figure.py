@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import PackageError
+from ..errors import PackageError, to_install
 from ..files import check_output, replacing
 
 if TYPE_CHECKING:
@@ -36,9 +36,7 @@ def check_matplotlib() -> None:
     try:
         import matplotlib.figure  # noqa: F401
     except ImportError:
-        raise PackageError(
-            'pictures need matplotlib: run pip install "gonio-mi[plot]"'
-        ) from None
+        raise PackageError(f"pictures need matplotlib: {to_install('plot')}") from None
 
 
 def check_picture(path: str | PathLike[str]) -> None:

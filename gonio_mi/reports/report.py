@@ -17,7 +17,14 @@ from numpy.typing import NDArray
 from ..array_types import Floats, Singles
 from ..collector import Subdivision
 from ..collector.directions import direction
-from ..errors import LABEL, PackageError, SettingError, SettingTypeError, abridged_apart
+from ..errors import (
+    LABEL,
+    PackageError,
+    SettingError,
+    SettingTypeError,
+    abridged_apart,
+    to_install,
+)
 from ..plots import plot, plot_mueller, sheet
 from ..plots.figure import evenly
 from ..plots.plot import received
@@ -146,9 +153,7 @@ def _check_plotly() -> None:
     try:
         import plotly.offline  # noqa: F401
     except ImportError:
-        raise PackageError(
-            'reports need plotly: run pip install "gonio-mi[report]"'
-        ) from None
+        raise PackageError(f"reports need plotly: {to_install('report')}") from None
 
 
 def notebook_view(record: Record) -> str:

@@ -250,7 +250,7 @@ def without_renderer() -> tuple[list[Baseline], list[str]]:
         try:
             found.append(build())
         except ImportError:
-            absent.append("numba is left out: pip install 'gonio-mi[benchmark]'")
+            absent.append("numba is left out: pip install '.[benchmark]'")
         except c_loop.CompilerError as error:
             absent.append(f"the C loop is left out: {error}")
     return found, absent

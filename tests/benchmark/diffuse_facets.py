@@ -129,7 +129,7 @@ def facet_contests() -> tuple[Contests, list[str]]:
     try:
         klems.append((facets_of_radiance(), klems[0][1]))
     except ImportError:
-        absent.append("Radiance is left out: pip install 'gonio-mi[benchmark]'")
+        absent.append("Radiance is left out: pip install '.[benchmark]'")
     what = f"diffuse height field of {CELLS}^2 cells, alpha {ALPHA}"
     return {
         f"{what}, at {THETA_I:g} degrees, 900 patches": directions,

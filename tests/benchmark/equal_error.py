@@ -119,7 +119,7 @@ def _add_radiance(found: Contests) -> list[str]:
         plate = radiance_genbsdf(RADIANCE_PLATE, groove.REFLECTANCE)
         grooves = radiance_genbsdf(RADIANCE_GROOVE, groove.REFLECTANCE)
     except ImportError:
-        return ["Radiance is left out: pip install 'gonio-mi[benchmark]'"]
+        return ["Radiance is left out: pip install '.[benchmark]'"]
     every = np.broadcast_to(KLEMS.projected_solid_angles / np.pi, (145, 145, 1))
     found["white plate, 145 patches"].append((plate, groove.REFLECTANCE * every))
     found["diffuse V-groove, 145 patches"].append((grooves, klems_groove_flux()))

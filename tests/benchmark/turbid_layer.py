@@ -79,7 +79,7 @@ def layer_contests() -> tuple[Contests, list[str]]:
     try:
         fluxes, *_ = theory([(TAU, ALBEDO, henyey_greenstein(G))], THETA_I, PATCHES)
     except ImportError:
-        return {}, [f"{title}: pip install 'gonio-mi[benchmark]'"]
+        return {}, [f"{title}: pip install '.[benchmark]'"]
     scene = mi.load_dict({"type": "scene", **layer()})
     given: dict[str, Any] = {"period": "box", "footprint": "full", "batches": 16}
     ours = [

@@ -407,9 +407,7 @@ def test_without_h5netcdf_a_sentence(tmp_path, monkeypatch):
 
     pytest.importorskip("xarray")
     monkeypatch.setattr(netcdf, "find_spec", lambda _: None)
-    with pytest.raises(
-        ImportError, match=r'h5netcdf.*pip install "gonio-mi\[netcdf\]"'
-    ):
+    with pytest.raises(ImportError, match=r'h5netcdf.*pip install "\.\[netcdf\]"'):
         exporting.export(synthetic.record(), tmp_path / "run.h5")
     assert not list(tmp_path.iterdir())
 
@@ -430,7 +428,7 @@ def test_without_xarray_a_sentence(monkeypatch):
     from gonio_mi.files import netcdf
 
     monkeypatch.setitem(__import__("sys").modules, "xarray", None)
-    with pytest.raises(ImportError, match=r'pip install "gonio-mi\[netcdf\]"'):
+    with pytest.raises(ImportError, match=r'pip install "\.\[netcdf\]"'):
         netcdf.dataset(synthetic.record())
 
 
