@@ -94,14 +94,17 @@ class DirectionSummary:
 
 @dataclass(frozen=True)
 class PatchSummary:
-    """A patch, angles in degrees, and its BRDF or BTDF; no hits of an integral."""
+    """A patch, angles in degrees, and its BRDF or BTDF; no hits of an integral.
+
+    All directions outside of apertures are one patch, without angles.
+    """
 
     theta_i: float | None
     phi_i: float | None
     of: str
     channel: str
-    theta_o: float
-    phi_o: float
+    theta_o: float | None
+    phi_o: float | None
     value: float
     std_err: float
     rel_err: float
@@ -245,8 +248,8 @@ def _worst_patches(look: Record) -> list[PatchSummary]:
                 phi_i=_known(float(look.phi_i[0])),
                 of=quantities[hemisphere],
                 channel=look.channels[channel],
-                theta_o=float(180 - theta_o if hemisphere else theta_o),
-                phi_o=float(phi_o),
+                theta_o=_known(float(180 - theta_o if hemisphere else theta_o)),
+                phi_o=_known(float(phi_o)),
                 value=float(value[index]),
                 std_err=float(std_err[index]),
                 rel_err=float(relative[index]),

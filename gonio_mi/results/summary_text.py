@@ -214,7 +214,11 @@ def _greatest(record: Record, stokes: Sequence[float]) -> str:
     names = ["theta_i", "phi_i", "theta_o", "phi_o"]
     angles = [single.theta_i[0], single.phi_i[0]]
     angles += [180 - theta_o if hemisphere else theta_o, phi_o]
-    where = ", ".join(f"{name} {_angle(x)}" for name, x in zip(names, angles))
+    where = ", ".join(
+        f"{name} {_angle(x)}" for name, x in zip(names, angles) if not math.isnan(x)
+    )
+    if math.isnan(theta_o):
+        where += " outside of the apertures"
     return (
         f"{text}{_rounded(degree, 5)} +- {_of_part(error)} at {where}, channel "
         f"{record.channels[channel]}"
@@ -312,6 +316,8 @@ def _patches_text(summary: Summary) -> str:
         # no hits, nor the cells below, which no line of the table ends with
         header[-3:] = ["+- error", "%"]
     table = aligned(header, rows)
+    if any(patch.theta_o is None for patch in summary.worst_patches):
+        table += "\ntheta_o -: all directions outside of the apertures"
     return _filled("patches   ", text) + "\n\n" + table
 
 

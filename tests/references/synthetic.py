@@ -20,7 +20,7 @@ def specular(patches, theta_deg, phi_deg, power):
     to_theta, to_phi = np.radians([theta_deg, phi_deg])
     cosine = np.cos(theta) * np.cos(to_theta)
     cosine += np.sin(theta) * np.sin(to_theta) * np.cos(phi - to_phi)
-    lobe = np.maximum(cosine, 0) ** power
+    lobe = np.fmax(cosine, 0) ** power  # none outside of apertures
     weight = (0.02 + lobe) * patches.projected_solid_angles
     return weight / weight.sum()
 

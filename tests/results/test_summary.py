@@ -1,5 +1,6 @@
 """The numbers of a record and their text, on records made by hand."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -112,6 +113,23 @@ def test_theta_o_counts_from_one_pole_in_both_hemispheres(of):
         here = getattr(record, of)[..., 0] == patch.value
         here &= record.counts[int(of == "btdf")] == patch.hits
         assert (patch.theta_o, patch.phi_o) in zip(theta[here], phi[here])
+
+
+@pytest.mark.parametrize("both", [False, True])
+def test_what_is_outside_of_apertures_has_a_name(tmp_path, capsys, both):
+    """Exact: one patch, the only one without angles, in the text and in JSON."""
+    apertures = "apertures:5@30/200"
+    record = synthetic.record(apertures, power=1, both=both, channels=("Y",))
+    text = summary_text(summarize(record))
+    assert "theta_o -: all directions outside of the apertures" in text
+    assert "nan" not in text
+    assert "outside" not in summary_text(summarize(synthetic.record()))
+    record.save(path := str(tmp_path / "a.npz"))
+    assert main(["show", path, "--json"]) == 0
+    worst = json.loads(capsys.readouterr().out)["worst_patches"]
+    rest = [one for one in worst if one["theta_o"] is None]
+    assert len(rest) == 1 + both
+    assert all(one["phi_o"] is None for one in rest)
 
 
 @pytest.mark.parametrize("share", [1, 100])
