@@ -212,6 +212,8 @@ def _check_same(path: Path, found: Any, own: dict[str, Any]) -> None:
         )
     for key in own:
         what, one, other = key, own[key], found[key]
+        if key == "specimens" and one.keys() != other.keys():
+            what, one, other = "specimen", ", ".join(one), ", ".join(other)
         while isinstance(one, dict) and isinstance(other, dict) and one != other:
             what = min(
                 k for k in one.keys() | other.keys() if one.get(k) != other.get(k)

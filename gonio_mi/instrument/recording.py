@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from importlib.metadata import version
@@ -14,7 +14,15 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..errors import SettingError, SettingTypeError, SpecimenError, shown, warn
+from ..errors import (
+    MAX_VALUE,
+    SettingError,
+    SettingTypeError,
+    SpecimenError,
+    abridged_apart,
+    shown,
+    warn,
+)
 from ..results.provenance import Provenance, settings_mapping
 from ..results.record import Record
 from ..results.tally import Ledger, Tally, batch_sizes
@@ -258,6 +266,28 @@ def _medium_text(medium: Any) -> str:
     return f"{class_of(medium)} with {phase}: {told}"
 
 
+# What digests are of, and the settings that tell it in words.
+DIGESTS = {
+    "digest": ("another specimen", ("specimen", "surface")),
+    "emitter_digest": ("another emitter", ("emitter",)),
+    "plugin_digest": ("other code of plugins", ()),
+}
+
+
+def _difference(key: str, others: Mapping[str, Any], own: Mapping[str, Any]) -> str:
+    """How two settings differ; of digests what they are of, and its words."""
+    if key not in DIGESTS:
+        return f"{key}={shown(others.get(key))} instead of {shown(own[key])}"
+    what, words = DIGESTS[key]
+    for word in words:
+        if own.get(word) != others.get(word):
+            texts = str(others.get(word)), str(own.get(word))
+            other, one = abridged_apart(texts, MAX_VALUE)
+            return f"{what}: {other} instead of {one}"
+    named = f", also called {shown(own[words[0]])}" if words else ""
+    return f"{what}{named}"
+
+
 # Settings that say nothing of the rays.
 UNCOMPARED = {"created", "defects", "versions", "processors", "specimen", "choice"}
 
@@ -301,7 +331,7 @@ def check_resumable(resume: Record, setups: Sequence[Setup], step: int) -> None:
             if own[key] != others.get(key) and own[key] == own[key]:
                 raise SettingError(
                     "resume must be a record of this measurement, but it was made with "
-                    f"{key}={shown(others.get(key))} instead of {shown(own[key])}"
+                    f"{_difference(key, others, own)}"
                 )
     settings = setups[0].settings
     plan = batch_sizes(settings.rays, settings.batches)

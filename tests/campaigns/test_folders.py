@@ -106,6 +106,10 @@ def test_other_settings(folder, refused, change, words, described):
     assert words in refused(**change)
 
 
+def test_a_specimen_of_another_name(refused):
+    assert "specimen plate, not sheet" in refused(specimens={"sheet": PLATE["plate"]})
+
+
 def test_seeds_that_double_precision_cannot_tell_apart(tmp_path, refused):
     measure(tmp_path / "big", seed=2**53)
     words = refused(folder=tmp_path / "big", seed=2**53 + 1)
@@ -228,7 +232,8 @@ def test_an_edited_plugin(plugin, tmp_path, capsys, change):
     assert main([*measuring, *kept]) == 1
     assert "p.py" in capsys.readouterr().err
     assert main([*measuring, "--resume", out]) == 1
-    assert "digest=" in capsys.readouterr().err  # of the code, or what it kept
+    said = capsys.readouterr().err
+    assert "other code of plugins" in said or "another specimen" in said
     plugin()
     assert main([*measuring, *kept]) == 0
     assert main([*measuring, "--resume", out]) == 0

@@ -99,8 +99,19 @@ def test_different_specimens_cannot_be_mixed(make):
         )
     resumed = measured(make(0.2), resume=interrupted(one))
     np.testing.assert_array_equal(resumed.brdf, one.brdf)
-    with pytest.raises(ValueError, match="it was made with digest="):
+    with pytest.raises(ValueError, match="it was made with another specimen"):
         measured(make(0.9), resume=interrupted(one))
+
+
+@pytest.mark.usefixtures("mono")
+def test_what_differs_is_told_in_words():
+    """By the specimens' names, or else their parameters."""
+    one = measured({"type": "roughconductor", "alpha": 0.2})
+    words = "specimen: roughconductor:alpha=0.2 instead of roughconductor:alpha=0.3"
+    with pytest.raises(ValueError, match=words):
+        measured({"type": "roughconductor", "alpha": 0.3}, resume=interrupted(one))
+    with pytest.raises(ValueError, match=r"=\[0.2\].* instead of .*=\[0.9\]"):
+        measured(blended(0.9), resume=interrupted(measured(blended(0.2))))
 
 
 @pytest.mark.usefixtures("mono")
@@ -113,7 +124,7 @@ def test_different_emitters_cannot_be_mixed(make):
     assert one.merge(same).n_batches == 8
     with pytest.raises(ValueError, match="agree in emitter_digest to be merged"):
         one.merge(other)
-    with pytest.raises(ValueError, match="it was made with emitter_digest="):
+    with pytest.raises(ValueError, match="it was made with another emitter"):
         measured(matt, emitter=make(0.9), resume=interrupted(one))
 
 
