@@ -1,5 +1,6 @@
 """A progress bar on standard error, or lines where that is no terminal."""
 
+import math
 import shutil
 import sys
 import threading
@@ -10,12 +11,15 @@ from typing import Any, TypeVar
 
 from tqdm import tqdm
 
-from .errors import abridged
+from .errors import abridged, warn
 
 T = TypeVar("T")
 
 # Seconds between two lines.
 PAUSE = 30.0
+
+# Seconds of further measuring that are announced, and those that tell the speed.
+MIN_ANNOUNCED, TRIAL = 600.0, 10.0
 
 # Columns of a terminal for the bar itself, counts and the time that is left.
 COUNTS = 31
@@ -53,6 +57,47 @@ def counted(items: Collection[T], shown: bool, **how: Any) -> Iterator[T]:
             yield item
             if report is not None:
                 report(1)
+
+
+class Announcement:
+    """Function that reports rays, and warns once if the rest of them takes long.
+
+    The first report tells no speed, for until then kernels were compiled.
+
+    Parameters
+    ----------
+    report : callable, optional
+        What is called with the rays of each report.
+    total : float
+        Rays in all.
+    """
+
+    def __init__(self, report: Callable[[float], Any] | None, total: float) -> None:
+        self.report, self.left = report, total
+        self.timed, self.started = 0.0, math.nan
+        self.announced = False
+
+    def __call__(self, rays: float) -> None:
+        """Report so many more rays."""
+        if self.report is not None:
+            self.report(rays)
+        self.left -= rays
+        now = time.monotonic()
+        if math.isnan(self.started):
+            self.started = now
+            return
+        self.timed += rays
+        elapsed = now - self.started
+        if self.announced or elapsed < TRIAL:
+            return
+        seconds = self.left * elapsed / self.timed
+        if seconds > MIN_ANNOUNCED:
+            self.announced = True
+            warn(
+                f"{self.timed:.3g} rays took {elapsed:.0f} s; the other "
+                f"{self.left:.3g} are expected to take {seconds / 3600:.3g} hours; "
+                "fewer rays need less"
+            )
 
 
 class _Bar(tqdm):

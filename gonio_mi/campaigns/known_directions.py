@@ -18,6 +18,7 @@ from ..errors import SettingError, SpecimenError, abridged, warn
 from ..formats.scatter import PatchMeans
 from ..instrument.specimen_text import SpecimenLike
 from ..interpolation.lobes import check_table, is_significant
+from ..progress import MIN_ANNOUNCED
 from ..results.azimuth_symmetry import AzimuthSymmetry
 from ..results.campaign_outcome import PredictionError
 from ..results.prediction_error import expected_noise, prediction_error
@@ -48,9 +49,6 @@ HIDDEN_AT_MOST, HIDDEN_ON_AVERAGE = 1 / 2, 1 / 5
 # right plugin of spiky weights is not beyond 3.6 of its own.
 PROBE_RAYS = 2**18
 REPEAT_FACTOR, N_STD_ERRS_REFUSED = 16, 16
-
-# Seconds of further measuring that are announced.
-MIN_ANNOUNCED = 600
 
 
 def may_exceed(error: PredictionError, tolerance: float, noise: float) -> bool:

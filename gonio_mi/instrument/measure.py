@@ -22,7 +22,7 @@ from ..errors import (
     is_ctrl_c,
     shown,
 )
-from ..progress import bar
+from ..progress import Announcement, bar
 from ..quadrature.integrate import integrals
 from ..results.record import Record
 from ..results.tally import Tally, batch_sizes
@@ -180,6 +180,8 @@ def send_all(
     with bar(
         progress, total=rays, unit="ray", unit_scale=True, delay=1, mininterval=0.2
     ) as report:
+        if rays is not None and not settings.estimator.integrates:
+            report = Announcement(report, rays)
         try:
             if settings.estimator.splits:
                 with bar(

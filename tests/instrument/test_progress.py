@@ -5,11 +5,14 @@ import re
 import sys
 import threading
 import time
+import warnings
 from types import ModuleType
 
 import pytest
 
+import gonio_mi as gonio
 from gonio_mi import progress
+from gonio_mi.instrument import launcher
 
 
 @pytest.fixture
@@ -65,6 +68,45 @@ def test_nothing_where_it_is_not_wanted(clock, capsys):
         clock[0] += 100
     assert report is None
     assert not capsys.readouterr().err
+
+
+def test_many_rays_are_announced_once(clock):
+    """When their speed is known, which the first ones, compiled, do not tell."""
+    told = []
+    report = progress.Announcement(told.append, 1e6)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for seconds in (3600, 9):
+            clock[0] += seconds
+            report(1000)
+    clock[0] += 1
+    said = (
+        "2e\\+03 rays took 10 s; the other 9.97e\\+05 are expected to take 1.38 hours"
+    )
+    with pytest.warns(RuntimeWarning, match=said):
+        report(1000)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        clock[0] += 1
+        report(1000)
+        short = progress.Announcement(None, 6e4)  # 590 seconds, after two
+        for _ in range(60):
+            short(1000)
+            clock[0] += 10
+    assert told == [1000] * 4
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_measurement_announces_its_rays(monkeypatch):
+    """If their number is fixed; twin: not if a precision is."""
+    monkeypatch.setattr(progress, "MIN_ANNOUNCED", 0.0)
+    monkeypatch.setattr(progress, "TRIAL", 0.0)
+    monkeypatch.setattr(launcher, "MAX_LAUNCH", 1000)
+    few = {"collector": "projected:2x2", "batches": 2}
+    with pytest.warns(RuntimeWarning, match="rays took") as said:
+        gonio.measure({"type": "diffuse"}, 0, rays=10_000, **few)
+    assert len(said) == 1
+    gonio.measure({"type": "diffuse"}, 0, rel_err=0.05, **few)
 
 
 def test_bars_only_where_they_are_drawn(monkeypatch, capsys):
