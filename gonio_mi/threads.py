@@ -1,20 +1,30 @@
-"""How many threads Dr.Jit has."""
+"""How many threads Dr.Jit has, and which of Python's it works for."""
 
 import contextlib
+import threading
 from collections.abc import Iterator
 
 import drjit as dr
 
+# Dr.Jit records side effects, such as the sums of a tally, in one state for all
+# threads: one at a time records and launches kernels, or changes what they depend on.
+drjit_lock = threading.RLock()
+
 
 @contextlib.contextmanager
 def thread_count(n: int | None) -> Iterator[None]:
-    """Context with `n` threads of Dr.Jit; with those that there are for None or 0."""
-    before = dr.thread_count()
-    dr.set_thread_count(n or before)
-    try:
-        yield
-    finally:
-        dr.set_thread_count(before)
+    """Context with `n` threads of Dr.Jit; with those that there are for None or 0.
+
+    No other thread records meanwhile: what Dr.Jit has set aside for each of its threads
+    as a sum was recorded would not do for more of them when it is evaluated.
+    """
+    with drjit_lock:
+        before = dr.thread_count()
+        dr.set_thread_count(n or before)
+        try:
+            yield
+        finally:
+            dr.set_thread_count(before)
 
 
 def two_threads() -> contextlib.AbstractContextManager[None]:

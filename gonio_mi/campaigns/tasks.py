@@ -8,7 +8,6 @@ import pickle
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
-from threading import Lock
 from typing import Any
 
 import mitsuba as mi
@@ -21,7 +20,7 @@ from ..instrument.measure import measure_each, whole
 from ..instrument.specimen_text import specimen_name
 from ..results.record import Record
 from ..settings import MeasurementSettings
-from ..threads import thread_count
+from ..threads import drjit_lock, thread_count
 from ..transport.digest import file_digest, plugins_digest
 from ..transport.specimen import Specimen
 
@@ -54,7 +53,7 @@ class Task:
 
     def run(self) -> Record:
         """Measure, in any process: records of the directions, stacked."""
-        with _here:  # threads of one process share Dr.Jit and the variant
+        with drjit_lock:  # threads of one process share Dr.Jit and the variant
             mi.set_variant(self.variant)
             self._load_plugins()
             with thread_count(self.threads):
@@ -66,7 +65,7 @@ class Task:
 
     def digests(self) -> dict[str, str | None]:
         """Digests of the specimen and the emitter as they are now."""
-        with _here:
+        with drjit_lock:
             self._load_plugins()
             period = MeasurementSettings.among(self.arguments).period
             parameters = self.arguments.get("parameters")
@@ -95,9 +94,6 @@ class Task:
         if isinstance(self.specimen, (str, os.PathLike)):
             return os.path.join(self.directory, self.specimen)
         return self.specimen
-
-
-_here = Lock()
 
 
 def run_task(task: Task) -> Record:

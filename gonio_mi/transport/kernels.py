@@ -12,11 +12,8 @@ import drjit as dr
 import mitsuba as mi
 
 from ..errors import LostRaysError, VariantError
+from ..threads import drjit_lock
 from .variants import check_variant, is_usable
-
-# Dr.Jit records side effects, such as the sums of a tally, in one state for all
-# threads.
-_lock = threading.RLock()
 
 # Variants at the entrances of the contexts that are open, and the last that each thread
 # has set.
@@ -57,13 +54,13 @@ class launches_kernels(ContextDecorator):  # noqa: N801
 
     def __enter__(self) -> None:
         check_variant(self._accepts)
-        _lock.acquire()
+        drjit_lock.acquire()
         try:
             _check_flags()
             if not _entered:
                 _check_own_variant()
         except BaseException:
-            _lock.release()
+            drjit_lock.release()
             raise
         _entered.append(mi.variant())
 
@@ -79,7 +76,7 @@ class launches_kernels(ContextDecorator):  # noqa: N801
             _entered.pop()
             # no variable of this very frame may hold what holds the frame
             del error, _
-            _lock.release()
+            drjit_lock.release()
 
 
 def in_memory(numbers: Iterable[float]) -> list[mi.Float]:
@@ -109,7 +106,7 @@ def orderly(set_variant: Callable[..., None]) -> Callable[..., None]:
 
     @functools.wraps(set_variant)
     def in_turn(*variants: str) -> None:
-        with _lock:
+        with drjit_lock:
             set_variant(*variants)
             know_own_variant()  # Mitsuba calls nobody if it is the same as before
 

@@ -10,9 +10,11 @@ import mitsuba as mi
 import pytest
 
 import gonio_mi as gonio
+from gonio_mi.campaigns import tasks
 from gonio_mi.errors import SpecimenError, VariantError, is_ctrl_c
 from gonio_mi.instrument import launcher
 from gonio_mi.instrument.loading import load_specimen
+from gonio_mi.threads import drjit_lock, thread_count
 from gonio_mi.transport.kernels import check_all_counted, launches_kernels
 
 PLATE = {"type": "diffuse", "reflectance": 0.7}
@@ -77,6 +79,54 @@ def in_a_thread(do):
     thread = Thread(target=do)
     thread.start()
     return thread
+
+
+def others_may_record():
+    """Whether another thread could record a kernel now."""
+    free = []
+
+    def tries():
+        free.append(drjit_lock.acquire(blocking=False))
+        if free[0]:
+            drjit_lock.release()
+
+    in_a_thread(tries).join()
+    return free[0]
+
+
+def test_nobody_records_while_threads_are_more_or_fewer(monkeypatch):
+    """Dr.Jit writes out of bounds if they become more after a sum was recorded."""
+    seen = []
+
+    def looks(_=None):
+        seen.append(others_may_record())
+
+    monkeypatch.setattr(dr, "set_thread_count", looks)
+    with thread_count(dr.thread_count() + 1):
+        looks()
+    assert seen == [False] * 3
+    assert others_may_record()
+
+
+def test_nobody_records_while_a_task_is_at_work(mono, monkeypatch):  # noqa: ARG001
+    """Also while its specimen is looked at: rays of others were lost."""
+    seen = []
+    whole, specimen = tasks.whole, tasks.Specimen
+
+    def measures(*arguments, **settings):
+        seen.append(others_may_record())
+        return whole(*arguments, **settings)
+
+    def looks_at(scene):
+        seen.append(others_may_record())
+        return specimen(scene)
+
+    monkeypatch.setattr(tasks, "whole", measures)
+    monkeypatch.setattr(tasks, "Specimen", looks_at)
+    (task,) = tasks.tasks_of({"plate": PLATE}, [(30, 0)], (), None, SMALL)
+    assert task.digests()["digest"] == task.run().provenance.digest
+    assert seen == [False] * 2
+    assert others_may_record()
 
 
 def test_a_change_of_variant_waits_for_the_measurement(mono, monkeypatch):  # noqa: ARG001
