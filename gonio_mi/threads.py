@@ -34,3 +34,14 @@ def two_threads() -> contextlib.AbstractContextManager[None]:
     asks for it: where there is none, as on a single core, it waits for ever.
     """
     return thread_count(None if dr.thread_count() > 1 else 2)
+
+
+def take_two_threads() -> None:
+    """Let Dr.Jit have two threads from now on, if it has one: see :func:`two_threads`.
+
+    For the constructors of plugins, which Mitsuba may call in Dr.Jit's threads: whoever
+    ended one of these would wait for it, with Python's lock, for which it waits. Nor do
+    they wait for the thread that loads them, which may hold `drjit_lock`.
+    """
+    if dr.thread_count() == 1:
+        dr.set_thread_count(2)

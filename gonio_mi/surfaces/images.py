@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..formats.height_maps import unreadable
-from ..threads import two_threads
+from ..threads import take_two_threads
 
 
 def image_heights(path: Path) -> NDArray[np.generic]:
     """Pixels of an image, in its own type: whole numbers are its codes."""
+    take_two_threads()
     try:
-        with two_threads():
-            return np.array(mi.Bitmap(str(path)))
+        return np.array(mi.Bitmap(str(path)))
     except (RuntimeError, ValueError) as error:
         raise unreadable(path, error) from None

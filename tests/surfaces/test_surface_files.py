@@ -13,9 +13,11 @@ from gonio_mi.errors import FileFormatError, SpecimenError
 from gonio_mi.formats import height_map_reader, height_maps
 from gonio_mi.formats.height_maps import HeightMap
 from gonio_mi.surfaces.heights import filled, without_form
+from gonio_mi.surfaces.images import image_heights
 from gonio_mi.surfaces.topography import Preparation, topography
 
 # isort: split
+import drjit as dr
 import mitsuba as mi
 
 REAL = Path(__file__).parents[3] / "shared" / "data"
@@ -169,6 +171,21 @@ def test_tiff_is_the_image(png, tmp_path):
 
 
 @pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize(("before", "changes"), [(1, [2]), (2, []), (7, [])])
+def test_an_image_ends_no_thread(png, before, changes, monkeypatch):
+    """Nor waits for a lock: it may be read in a thread that the holder waits for.
+
+    Six heightfields of images in a scene hung a process that had one thread.
+    """
+    path, codes = png
+    changed = []
+    monkeypatch.setattr(dr, "thread_count", lambda: before)
+    monkeypatch.setattr(dr, "set_thread_count", changed.append)
+    monkeypatch.setattr("gonio_mi.threads.drjit_lock", None)
+    assert (image_heights(path) == codes).all()
+    assert changed == changes
+
+
 def test_absurd_slopes_are_warned_of(png):
     """An image of whole numbers, taken for heights; not one of sensible range."""
     specimen = {"type": "heightfield", "filename": str(png[0]), "size": 2.0}
