@@ -17,6 +17,9 @@ def thread_count(n: int | None) -> Iterator[None]:
 
     No other thread records meanwhile: what Dr.Jit has set aside for each of its threads
     as a sum was recorded would not do for more of them when it is evaluated.
+
+    Dr.Jit 1.5 ends threads with Python's lock held. If one of them builds a plugin in
+    Python for another thread's ``mi.load_file`` just then, both wait for ever.
     """
     with drjit_lock:
         before = dr.thread_count()
