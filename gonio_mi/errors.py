@@ -149,6 +149,9 @@ _MITSUBA = re.compile(r"\[\w+\.(cpp|h):\d+\]")
 # Lines of a traceback in a text, with the first file, and the class of its error.
 _TRACED = re.compile(r'^  File "(.+)", .*\n(?:  .*\n)*(?:\w+\.)*(\w+)', re.MULTILINE)
 
+# How such a text ends after Ctrl-C.
+_PRESSED = re.compile(r"^KeyboardInterrupt\b.*\s*\Z", re.MULTILINE)
+
 _USERS = (
     *(LLVMError, LostRaysError, PackageError, SettingError, VariantError),
     *(MemoryError, OSError),
@@ -166,10 +169,16 @@ def is_the_users(error: BaseException) -> bool:
 
 
 def is_ctrl_c(error: BaseException | None) -> bool:
-    """Whether Ctrl-C is at the bottom of it: Dr.Jit wraps what a loop raises."""
+    """Whether Ctrl-C is at the bottom of it.
+
+    Dr.Jit wraps what a loop raises; of what a plugin raises while it is loaded, only
+    Mitsuba's text survives.
+    """
     seen: list[BaseException] = []
     while error is not None and error not in seen:  # errors may be their causes' causes
         if isinstance(error, KeyboardInterrupt):
+            return True
+        if isinstance(error, RuntimeError) and _PRESSED.search(str(error)):
             return True
         seen.append(error)
         error = error.__cause__ or error.__context__

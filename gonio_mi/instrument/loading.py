@@ -20,6 +20,7 @@ from ..errors import (
     SettingError,
     SpecimenError,
     did_you_mean,
+    is_ctrl_c,
     no_file,
     own_place,
     shown,
@@ -184,6 +185,8 @@ def loaded(what: str, load: Callable[..., Any], *args: Any, **kwargs: Any) -> An
             given = (with_own_tensors(with_real_indices(one)) for one in args)
             return load(*given, **kwargs)
     except (RuntimeError, TypeError, ValueError, AttributeError, KeyError) as error:
+        if is_ctrl_c(error):
+            raise KeyboardInterrupt from None
         if tells_of_our_bug(error):
             raise  # a bug of ours in a plugin
         text = _with_advice(_one_line(error), args)

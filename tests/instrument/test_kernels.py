@@ -11,6 +11,8 @@ import pytest
 
 import gonio_mi as gonio
 from gonio_mi.campaigns import tasks
+from gonio_mi.cli import main
+from gonio_mi.commands.arguments import INCOMPLETE
 from gonio_mi.errors import SpecimenError, VariantError, is_ctrl_c
 from gonio_mi.instrument import launcher
 from gonio_mi.instrument.loading import load_specimen
@@ -397,3 +399,40 @@ def test_errors_that_cause_themselves_come_out(n, mono):  # noqa: ARG001
     wrapper = RuntimeError("Dr.Jit encountered an exception")
     with pytest.raises(ArithmeticError, match=f"error {n - 1}"), launches_kernels():
         raise wrapper from errors[0]
+
+
+def built(_):
+    """Constructor in which Ctrl-C is pressed."""
+    raise KeyboardInterrupt
+
+
+def nested(_):
+    """Constructor of a plugin that holds such a one."""
+    return mi.load_dict({"type": "pressed_built"})
+
+
+def named_alike(_):
+    raise RuntimeError("KeyboardInterrupt")
+
+
+@pytest.mark.parametrize("constructor", [built, nested])
+def test_ctrl_c_while_a_plugin_is_built(constructor, mono, capsys):  # noqa: ARG001
+    """Of which Mitsuba keeps the text alone; the command said it was a bug of ours."""
+    mi.register_bsdf("pressed_built", built)
+    mi.register_bsdf("pressed", constructor)
+    with pytest.raises(KeyboardInterrupt):
+        gonio.measure({"type": "pressed"}, 30, **SMALL)
+    assert main(["measure", "pressed", "--theta-i", "30"]) == INCOMPLETE
+    assert "interrupted: nothing was finished" in capsys.readouterr().err
+
+
+def test_ctrl_c_while_a_plugin_of_ours_is_built(mono, monkeypatch, capsys):  # noqa: ARG001
+    monkeypatch.setattr("gonio_mi.plugins.shapes.heightfield._topography", built)
+    assert main(["measure", "heightfield", "--theta-i", "30"]) == INCOMPLETE
+    assert "interrupted: nothing was finished" in capsys.readouterr().err
+
+
+def test_twin_only_the_name_of_ctrl_c(mono):  # noqa: ARG001
+    mi.register_bsdf("named_alike", named_alike)
+    with pytest.raises(SpecimenError, match='"named_alike": RuntimeError: KeyboardI'):
+        gonio.measure({"type": "named_alike"}, 30, **SMALL)
