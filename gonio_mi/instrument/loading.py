@@ -1,5 +1,6 @@
 """From what a user calls a specimen to a Mitsuba scene, and the files that it names."""
 
+import importlib
 import importlib.util
 import linecache
 import os
@@ -344,6 +345,10 @@ def load_plugin_file(path: str | PathLike[str]) -> None:
         sys.modules.pop(_imported.pop(), None)
     known = set(sys.modules)
     scope = {"__name__": path.stem, "__file__": str(path.resolve())}
+    # Python takes a module for unchanged if its size and the second of its change are
+    # those of the bytecode, and a folder's list of files for that of the same moment
+    writes_no_bytecode, sys.dont_write_bytecode = sys.dont_write_bytecode, True
+    importlib.invalidate_caches()
     try:
         content = path.read_bytes()
         text = importlib.util.decode_source(content)
@@ -358,6 +363,7 @@ def load_plugin_file(path: str | PathLike[str]) -> None:
             f"{own_place(error)}"
         ) from error
     finally:
+        sys.dont_write_bytecode = writes_no_bytecode
         _imported[:] = [
             name
             for name, module in list(sys.modules.items())

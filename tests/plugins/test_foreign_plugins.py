@@ -3,6 +3,8 @@
 What does not is said in one sentence that is true, and never as a bug of ours.
 """
 
+import os
+import sys
 import threading
 
 import mitsuba as mi
@@ -243,6 +245,26 @@ def test_a_verdict_names_the_method_that_is_missing(plugin, rgb):  # noqa: ARG00
 def test_a_plugin_file_that_raises_tells_the_line(plugin, refusal):
     plugin.write_text("import mitsuba\n\nraise RuntimeError('not here')\n")
     assert "raised RuntimeError: not here (foreign.py, line 3)" in refusal("matte")
+
+
+def test_a_module_is_run_as_it_is_now(tmp_path, monkeypatch, rgb):  # noqa: ARG001
+    """However soon after the last time it was edited, or written beside others."""
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    monkeypatch.setattr(sys, "path", sys.path[:])
+    plugin = tmp_path / "plugin.py"
+
+    def run(name, number):
+        """Run a plugin file that imports a module, all of the same second."""
+        plugin.write_text(f"import {name}\n")
+        (tmp_path / f"{name}.py").write_text(f"NUMBER = {number}\n")
+        for path in (tmp_path / f"{name}.py", tmp_path):
+            os.utime(path, (1e9, 1e9))
+        load_plugin_file(plugin)
+        return sys.modules[name].NUMBER
+
+    assert [run("edited_module", number) for number in (1, 2)] == [1, 2]
+    assert run("another_module", 3) == 3
+    assert not sys.dont_write_bytecode  # it is as it was
 
 
 def test_our_own_bugs_stay_ours(plugin, monkeypatch, capsys, tmp_path):
