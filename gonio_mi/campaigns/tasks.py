@@ -16,7 +16,7 @@ import numpy as np
 from ..errors import SettingError, SpecimenError, frames, shown
 from ..instrument.incidence import described_digest, emitter_scene
 from ..instrument.loading import load_plugin_file, load_specimen
-from ..instrument.measure import measure_each, whole
+from ..instrument.measure import measure_each
 from ..instrument.specimen_text import specimen_name
 from ..results.record import Record
 from ..settings import MeasurementSettings
@@ -58,7 +58,7 @@ class Task:
             self._load_plugins()
             with thread_count(self.threads):
                 specimen, incidents = self._located(), self.incidents
-                record = whole(measure_each, specimen, incidents, **self.arguments)
+                record = measure_each(specimen, incidents, whole=True, **self.arguments)
         # the same wherever it is measured
         name = specimen_name(self.specimen, self.arguments.get("parameters"))
         return record.with_provenance(specimen=name)

@@ -17,7 +17,7 @@ from ..errors import SettingError, VariantError, abridged
 from ..files import replacing
 from ..formats import tensor_file
 from ..instrument.loading import loaded
-from ..instrument.measure import measure_each, whole
+from ..instrument.measure import measure_each
 from ..progress import counted
 from ..results.record import Record, wavelengths_nm
 from ..transport.surface_events import flux_context
@@ -87,7 +87,9 @@ def _written(
             # flux that Mitsuba's interpolation adds counts as a loss of the file
             warnings.filterwarnings("ignore", "the BSDF creates light")
             some = [incidents[i] for i in rough]
-            again = whole(measure_each, material, some, progress=progress, **settings)
+            again = measure_each(
+                material, some, whole=True, progress=progress, **settings
+            )
         flux[rough] = again.flux_fraction[:, :1]
     return flux
 

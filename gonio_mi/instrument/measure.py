@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import time
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -15,7 +14,6 @@ import mitsuba as mi
 from numpy.typing import ArrayLike
 
 from ..errors import (
-    LostLightWarning,
     SettingError,
     VariantError,
     check_memory,
@@ -112,6 +110,7 @@ def measure_stacks(
     incidents: Sequence[tuple[float, float] | None],
     *,
     orders: Sequence[Order] = (),
+    whole: bool = False,
     progress: bool = False,
     resume: Record | None = None,
     parameters: dict[str, Any] | None = None,
@@ -120,6 +119,7 @@ def measure_stacks(
 ) -> list[Record]:
     """Stacks of the incident directions: of each of the orders, or one of all rays.
 
+    As a `whole` they are not returned after Ctrl-C, but KeyboardInterrupt is raised.
     The other arguments are those of :func:`~gonio_mi.campaigns.measure.measure`.
     """
     given = {name: value for name, value in given.items() if value is not None}
@@ -153,6 +153,8 @@ def measure_stacks(
     records = records_of(setups, finished, complete, resume)
     logger.info("measured for %.3g s: %r", time.perf_counter() - started, records[0])
     if not complete:
+        if whole:
+            raise KeyboardInterrupt
         warn_of_interruption(setups, records[0])
     return records
 
@@ -274,17 +276,6 @@ def _integrate(waiting: list[tuple[Setup, list[Tally], list[Tally]]]) -> None:
         for kept, found in zip(tallies, integrals(setups, sent)):
             kept[:] = [found]
         waiting.clear()
-
-
-def whole(measure: Callable[..., Record], *args: Any, **settings: Any) -> Record:
-    """Return what is measured, or raise KeyboardInterrupt if it is a part."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "interrupted: ", RuntimeWarning)
-        warnings.simplefilter("ignore", LostLightWarning)
-        record = measure(*args, **settings)
-    if record.provenance.interrupted:
-        raise KeyboardInterrupt
-    return record
 
 
 def _check_together(

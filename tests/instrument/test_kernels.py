@@ -1,6 +1,7 @@
 """What users do around a measurement: threads, Dr.Jit's flags, plugins that raise."""
 
 import gc
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from threading import Thread
@@ -11,9 +12,10 @@ import pytest
 
 import gonio_mi as gonio
 from gonio_mi.campaigns import tasks
+from gonio_mi.campaigns.measure import measure_whole
 from gonio_mi.cli import main
 from gonio_mi.commands.arguments import INCOMPLETE
-from gonio_mi.errors import SpecimenError, VariantError, is_ctrl_c
+from gonio_mi.errors import LostLightWarning, SpecimenError, VariantError, is_ctrl_c
 from gonio_mi.instrument import launcher
 from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.threads import drjit_lock, thread_count
@@ -110,25 +112,51 @@ def test_nobody_records_while_threads_are_more_or_fewer(monkeypatch):
     assert others_may_record()
 
 
+def task_of_plate():
+    (task,) = tasks.tasks_of({"plate": PLATE}, [(30, 0)], (), None, SMALL)
+    return task
+
+
 def test_nobody_records_while_a_task_is_at_work(mono, monkeypatch):  # noqa: ARG001
     """Also while its specimen is looked at: rays of others were lost."""
     seen = []
-    whole, specimen = tasks.whole, tasks.Specimen
+    measure, specimen = tasks.measure_each, tasks.Specimen
 
     def measures(*arguments, **settings):
         seen.append(others_may_record())
-        return whole(*arguments, **settings)
+        return measure(*arguments, **settings)
 
     def looks_at(scene):
         seen.append(others_may_record())
         return specimen(scene)
 
-    monkeypatch.setattr(tasks, "whole", measures)
+    monkeypatch.setattr(tasks, "measure_each", measures)
     monkeypatch.setattr(tasks, "Specimen", looks_at)
-    (task,) = tasks.tasks_of({"plate": PLATE}, [(30, 0)], (), None, SMALL)
+    task = task_of_plate()
     assert task.digests()["digest"] == task.run().provenance.digest
     assert seen == [False] * 2
     assert others_may_record()
+
+
+@pytest.mark.parametrize(
+    "measure",
+    [lambda: measure_whole(PLATE, 30, **SMALL), lambda: task_of_plate().run()],
+    ids=["whole", "task"],
+)
+def test_warnings_of_other_threads_are_heard(measure, mono, monkeypatch):  # noqa: ARG001
+    """Those that a measurement does not give are not switched off for the process."""
+    send = launcher.launch
+
+    def warns():
+        warnings.warn("in no patch", LostLightWarning, stacklevel=1)
+
+    def sends(one):
+        in_a_thread(warns).join()
+        return send(one)
+
+    monkeypatch.setattr(launcher, "launch", sends)
+    with pytest.warns(LostLightWarning, match="in no patch"):
+        measure()
 
 
 def test_a_change_of_variant_waits_for_the_measurement(mono, monkeypatch):  # noqa: ARG001
