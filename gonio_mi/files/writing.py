@@ -59,7 +59,7 @@ def check_output(path: str | os.PathLike[str], endings: Sequence[str]) -> None:
         raise type(error)(
             f"the folder {target.parent} cannot be written to: {error.strerror}"
         ) from None
-    trial.unlink()
+    trial.unlink(missing_ok=True)  # another writer may have taken it for forgotten
 
 
 def checked_ending(path: str | os.PathLike[str], endings: Sequence[str]) -> str:
@@ -113,7 +113,10 @@ def _replaced(target: Path) -> Iterator[BinaryIO]:
             yield stream
             stream.flush()
             os.fsync(stream.fileno())
-        os.replace(partial, target)
+            if fcntl is not None:  # while nobody can take it for a forgotten one
+                os.replace(partial, target)
+        if fcntl is None:  # where open files keep their names
+            os.replace(partial, target)
     except BaseException:  # Ctrl-C too
         partial.unlink(missing_ok=True)
         raise

@@ -522,6 +522,33 @@ def test_a_fresh_one_is_left_alone(tmp_path):
     assert len(list(tmp_path.iterdir())) == 2
 
 
+@POSIX
+def test_a_finished_file_is_not_taken_for_a_forgotten_one(tmp_path, monkeypatch):
+    """By a campaign that ends just before it gets its name."""
+    replace_file = os.replace
+
+    def replaces(*names):
+        writing.remove_forgotten(tmp_path, 0)
+        replace_file(*names)
+
+    monkeypatch.setattr(os, "replace", replaces)
+    RECORD.save(tmp_path / "a.npz")
+    assert gonio.load(tmp_path / "a.npz").tallies == RECORD.tallies
+
+
+def test_a_folder_can_be_written_though_another_campaign_ends(tmp_path, monkeypatch):
+    touch = Path.touch
+
+    def touches(path, **ways):
+        touch(path, **ways)
+        writing.remove_forgotten(tmp_path, 0)
+        path.unlink(missing_ok=True)  # also where files cannot be locked
+
+    monkeypatch.setattr(Path, "touch", touches)
+    files.check_output(tmp_path / "a.npz", (".npz",))
+    assert not [*tmp_path.iterdir()]
+
+
 # ------------------------------------------------------------------- text from others
 
 
