@@ -150,7 +150,11 @@ def measure_stacks(
         finished[: len(resume)] = [[tally] for tally in resume.tallies]
     started = time.perf_counter()
     complete = send_all(setups, finished, progress)
-    records = records_of(setups, finished, complete, resume)
+    try:
+        records = records_of(setups, finished, complete, resume)
+    except KeyboardInterrupt:  # all rays are there: once more, with what was pressed
+        complete = False
+        records = records_of(setups, finished, complete, resume)
     logger.info("measured for %.3g s: %r", time.perf_counter() - started, records[0])
     if not complete:
         if whole:

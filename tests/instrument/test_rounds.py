@@ -13,7 +13,8 @@ import pytest
 
 import gonio_mi as gonio
 from gonio_mi import cli
-from gonio_mi.instrument import launcher
+from gonio_mi.campaigns.measure import measure_whole
+from gonio_mi.instrument import launcher, measure as measuring
 from gonio_mi.instrument.schedule import rounds
 
 pytestmark = pytest.mark.usefixtures("mono")
@@ -166,6 +167,35 @@ def test_ctrl_c_in_a_stack_of_passes(ctrl_c, spectral):
     assert [t.n_batches for t in part.tallies] == [4, 4]
     resumed = gonio.measure({"type": "diffuse"}, **settings, resume=part)
     assert resumed.tallies == whole.tallies
+
+
+@pytest.mark.parametrize("at", [0, 25])
+def test_ctrl_c_after_the_last_ray(ctrl_c, at, monkeypatch):
+    """While the record is made: it holds all rays that were sent, and is not lost.
+
+    Also if it is pressed for the second time.
+    """
+    makes, pressed = measuring.records_of, []
+
+    def makes_the_second_time(*arguments):
+        pressed.append(arguments)
+        if len(pressed) == 1:
+            raise KeyboardInterrupt
+        return makes(*arguments)
+
+    ctrl_c(at)
+    expected = interrupted(PLASTIC, **LONG) if at else gonio.measure(PLASTIC, **LONG)
+    monkeypatch.setattr(measuring, "records_of", makes_the_second_time)
+    ctrl_c(at)
+    part = interrupted(PLASTIC, **LONG)
+    assert part.tallies == expected.tallies
+    pressed.clear()
+    ctrl_c(at)
+    with pytest.raises(KeyboardInterrupt):  # who wants a whole is not told that it is
+        measure_whole(PLASTIC, **LONG)
+    ctrl_c(0)
+    rest = gonio.measure(PLASTIC, **LONG, resume=part)
+    assert rest.ledger.emitted == LONG["rays"]
 
 
 def test_ctrl_c_before_the_precision_asked_for(ctrl_c):
