@@ -225,27 +225,31 @@ class _Workers(ProcessPoolExecutor):
             return super().submit(*args, **kwargs)
 
 
+# All threads have the same environment.
+_environment = threading.Lock()
+
+
 @contextlib.contextmanager
 def _spawning() -> Iterator[None]:
-    """Context in which processes are started.
+    """Context in which processes are started, by one thread at a time.
 
     Ctrl-C is not for them: this process answers it. They import none of the standard
     library's modules from the current folder.
     """
-    before = os.environ.get(SAFE_PATH)
-    os.environ[SAFE_PATH] = "1"
-    blocks = hasattr(signal, "pthread_sigmask")
-    if blocks:
-        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[SAFE_PATH]
-        else:
-            os.environ[SAFE_PATH] = before
+    with _environment:
+        before = os.environ.get(SAFE_PATH)
+        os.environ[SAFE_PATH] = "1"
+        blocks = hasattr(signal, "pthread_sigmask")
         if blocks:
-            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+            mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            yield
+        finally:
+            os.environ.pop(SAFE_PATH, None)
+            if before is not None:
+                os.environ[SAFE_PATH] = before
+            if blocks:
+                signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 def _begin(ending: Connection, parent: int) -> None:

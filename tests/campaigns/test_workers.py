@@ -5,10 +5,13 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from pathlib import Path
+from threading import Event, Thread
 
 import pytest
 
+from gonio_mi.campaigns import execution
 from gonio_mi.cli import main
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
@@ -148,3 +151,31 @@ def test_errors_of_workers_are_one_sentence(tmp_path, capsys):
         assert err.startswith("gonio-mi: ")
         assert words in err
         assert err.count("\n") == 1
+
+
+def test_threads_start_processes_one_after_another(monkeypatch):
+    """The environment is that of before, though two threads change it."""
+    monkeypatch.delenv(execution.SAFE_PATH, raising=False)
+    other_is_there, leave = Event(), Event()
+    lock = execution._environment
+
+    @contextmanager
+    def awaited():
+        other_is_there.set()
+        with lock:
+            yield
+
+    def starts():
+        with execution._spawning():
+            other_is_there.set()
+            leave.wait(HANGS)
+
+    other = Thread(target=starts, daemon=True)
+    with execution._spawning():
+        monkeypatch.setattr(execution, "_environment", awaited())
+        other.start()
+        assert other_is_there.wait(HANGS)
+    leave.set()
+    other.join(HANGS)
+    assert not other.is_alive()
+    assert execution.SAFE_PATH not in os.environ
