@@ -13,6 +13,7 @@ import weakref
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from importlib.machinery import PathFinder
+from importlib.util import decode_source
 from os import PathLike
 from pathlib import Path
 from types import FunctionType
@@ -186,7 +187,8 @@ def plugins_digest(things: Iterable[mi.Object]) -> str | None:
 def file_digest(path: str | PathLike[str]) -> str:
     """Digest of a Python file and of the local files that it imports."""
     path = Path(path)
-    return _text_digest({path.read_text(), *_imported(path.read_text(), path)})
+    text = decode_source(path.read_bytes())
+    return _text_digest({text, *_imported(text, path)})
 
 
 def _text_digest(texts: Iterable[str]) -> str:
@@ -233,7 +235,7 @@ def _imported(text: str, path: Path) -> Iterator[str]:
             for found in _files(name, folder):
                 if found not in seen and not is_installed(found):
                     seen.add(found)
-                    content = found.read_text(errors="replace")
+                    content = found.read_text("utf-8", errors="replace")
                     todo.append((content, found))
                     yield content
 

@@ -14,7 +14,7 @@ import pytest
 import gonio_mi as gonio
 from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.results.tally import Tally
-from gonio_mi.transport.digest import digest
+from gonio_mi.transport.digest import digest, file_digest
 
 SETTINGS = {"rays": 800, "batches": 4, "collector": "projected:3x3"}
 
@@ -279,6 +279,24 @@ def test_a_file_that_a_plugin_keeps_is_what_it_holds(tmp_path):
 
 
 @pytest.mark.usefixtures("mono")
+def test_a_python_file_has_one_digest_in_all_locales(tmp_path, monkeypatch):
+    """It is read as Python reads it, and what it imports as UTF-8."""
+    plugin, helper = tmp_path / "plugin.py", tmp_path / "helper_in_danish.py"
+    source = "# coding: latin-1\nimport helper_in_danish\nNAME = 'Kj\xe6r'\n"
+    plugin.write_bytes(source.encode("latin-1"))
+    helper.write_text("NAME = 'K\xf8hler'\n", encoding="utf-8")
+    own = file_digest(plugin)
+
+    def in_another_locale(path, encoding="ascii", errors="strict"):
+        return path.read_bytes().decode(encoding, errors)
+
+    monkeypatch.setattr(Path, "read_text", in_another_locale)
+    assert file_digest(plugin) == own
+    monkeypatch.undo()
+    helper.write_text("NAME = 'K\xe6hler'\n", encoding="utf-8")
+    assert file_digest(plugin) != own
+
+
 def test_a_folder_sees_the_data_of_bitmaps(tmp_path):
     for make in SPECIMENS:
         folder = tmp_path / make.__name__
