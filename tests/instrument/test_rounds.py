@@ -14,7 +14,7 @@ import pytest
 import gonio_mi as gonio
 from gonio_mi import cli
 from gonio_mi.campaigns.measure import measure_whole
-from gonio_mi.instrument import launcher, measure as measuring
+from gonio_mi.instrument import launcher, measure as measuring, recording
 from gonio_mi.instrument.schedule import rounds
 
 pytestmark = pytest.mark.usefixtures("mono")
@@ -169,27 +169,33 @@ def test_ctrl_c_in_a_stack_of_passes(ctrl_c, spectral):
     assert resumed.tallies == whole.tallies
 
 
+def interrupted_once(function):
+    """Function in whose first call Ctrl-C is pressed."""
+    calls = []
+
+    def pressed(*arguments):
+        calls.append(arguments)
+        if len(calls) == 1:
+            raise KeyboardInterrupt
+        return function(*arguments)
+
+    return pressed
+
+
 @pytest.mark.parametrize("at", [0, 25])
 def test_ctrl_c_after_the_last_ray(ctrl_c, at, monkeypatch):
     """While the record is made: it holds all rays that were sent, and is not lost.
 
     Also if it is pressed for the second time.
     """
-    makes, pressed = measuring.records_of, []
-
-    def makes_the_second_time(*arguments):
-        pressed.append(arguments)
-        if len(pressed) == 1:
-            raise KeyboardInterrupt
-        return makes(*arguments)
-
     ctrl_c(at)
     expected = interrupted(PLASTIC, **LONG) if at else gonio.measure(PLASTIC, **LONG)
-    monkeypatch.setattr(measuring, "records_of", makes_the_second_time)
+    makes = measuring.records_of
+    monkeypatch.setattr(measuring, "records_of", interrupted_once(makes))
     ctrl_c(at)
     part = interrupted(PLASTIC, **LONG)
     assert part.tallies == expected.tallies
-    pressed.clear()
+    monkeypatch.setattr(measuring, "records_of", interrupted_once(makes))
     ctrl_c(at)
     with pytest.raises(KeyboardInterrupt):  # who wants a whole is not told that it is
         measure_whole(PLASTIC, **LONG)
@@ -206,8 +212,12 @@ def test_ctrl_c_before_the_precision_asked_for(ctrl_c):
     assert part.settings["reached"] > 1e-3
 
 
-def test_ctrl_c_while_rendering(ctrl_c):
-    """It ends the script, and the film keeps what was measured."""
+@pytest.mark.parametrize(("at", "each"), [(20, {5120}), (0, {10_000, 10_001})])
+def test_ctrl_c_while_rendering(ctrl_c, at, each, monkeypatch):
+    """It ends the script, and the film keeps what was measured.
+
+    Also if it is pressed when all rays are there.
+    """
     scene = mi.load_dict(
         {
             "type": "scene",
@@ -217,13 +227,16 @@ def test_ctrl_c_while_rendering(ctrl_c):
             "specimen": {"type": "rectangle"},
         }
     )
-    ctrl_c(20)
+    if not at:
+        makes = "gonio_mi.plugins.integrators.goniophotometer.records_of"
+        monkeypatch.setattr(makes, interrupted_once(recording.records_of))
+    ctrl_c(at)
     with pytest.raises(RuntimeError) as caught:
         mi.render(scene)
     assert isinstance(caught.value.__cause__, KeyboardInterrupt)  # Dr.Jit wraps it
     record = scene.sensors()[0].film().record
     assert record.settings["interrupted"]
-    assert set(rays_of(record)) == {5120}
+    assert set(rays_of(record)) == each
 
 
 def test_some_whole_batches_are_refused():

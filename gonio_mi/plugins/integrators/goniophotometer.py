@@ -61,7 +61,11 @@ class Goniophotometer(mi.SamplingIntegrator):
         setups = set_up(scene, settings)
         finished: list[list[Tally]] = [[]]
         complete = send_all(setups, finished)
-        (stack,) = records_of(setups, finished, complete)
+        try:
+            (stack,) = records_of(setups, finished, complete)
+        except KeyboardInterrupt:  # all rays are there: once more
+            complete = False
+            (stack,) = records_of(setups, finished, complete)
         sensor.film().record = stack[0]
         if not complete:
             raise KeyboardInterrupt
