@@ -30,13 +30,15 @@ def thread_count(n: int | None) -> Iterator[None]:
             dr.set_thread_count(before)
 
 
-def two_threads() -> contextlib.AbstractContextManager[None]:
+@contextlib.contextmanager
+def two_threads() -> Iterator[None]:
     """Context in which Dr.Jit has at least two threads.
 
     Mitsuba 3.9.1 reads and writes EXR files in Dr.Jit's threads other than the one that
     asks for it: where there is none, as on a single core, it waits for ever.
     """
-    return thread_count(None if dr.thread_count() > 1 else 2)
+    with drjit_lock, thread_count(max(2, dr.thread_count())):
+        yield
 
 
 def take_two_threads() -> None:

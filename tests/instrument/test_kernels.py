@@ -18,7 +18,7 @@ from gonio_mi.commands.arguments import INCOMPLETE
 from gonio_mi.errors import LostLightWarning, SpecimenError, VariantError, is_ctrl_c
 from gonio_mi.instrument import launcher
 from gonio_mi.instrument.loading import load_specimen
-from gonio_mi.threads import drjit_lock, thread_count
+from gonio_mi.threads import drjit_lock, thread_count, two_threads
 from gonio_mi.transport.kernels import check_all_counted, launches_kernels
 
 PLATE = {"type": "diffuse", "reflectance": 0.7}
@@ -110,6 +110,21 @@ def test_nobody_records_while_threads_are_more_or_fewer(monkeypatch):
         looks()
     assert seen == [False] * 3
     assert others_may_record()
+
+
+def test_threads_are_counted_when_nobody_changes_them(monkeypatch):
+    """Those of another thread's campaign are gone when an EXR file is read."""
+    seen = []
+
+    def counted():
+        seen.append(others_may_record())
+        return 1
+
+    monkeypatch.setattr(dr, "thread_count", counted)
+    monkeypatch.setattr(dr, "set_thread_count", lambda _: None)
+    with two_threads():
+        assert seen
+        assert not any(seen)
 
 
 def task_of_plate():
