@@ -122,9 +122,11 @@ def run(options: Namespace) -> int:
         found = [one.to_dict() for one in fits]
         tell_json(found)
     else:
+        by = "chi-square" if fits[0].scatter is None else "scatter of the points"
         for i, one in enumerate(fits):
             if len(fits) > 1 and i < 2:
-                tell("further from it:" if i else f"closest of {len(fits)} models:")
+                closest = f"closest of {len(fits)} models, by {by}:"
+                tell("further from it:" if i else closest)
             tell(one)
     write = say if options.json else tell
     for note in record.notes if isinstance(record, MeasuredTable) else ():

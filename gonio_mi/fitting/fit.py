@@ -282,7 +282,8 @@ class Fit:
             left = f"points differ by {200 * self.misplaced:.3g} % of their mean"
         return (
             f"+- is one standard error; chi-square per degree of freedom "
-            f"{self.reduced_chi2:.3g} ({self.dof} degrees), {left}"
+            f"{self.reduced_chi2:.3g} ({self.dof} degrees of freedom), "
+            f"{left}"
         )
 
     @property

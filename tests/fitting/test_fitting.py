@@ -346,6 +346,10 @@ def test_command_fits_a_table(tmp_path, capsys):
     assert "points differ by" in said
     assert "closest" not in said  # of one
     assert len(gonio.read_measured(outputs[1])) == 32
+    table_of(METAL).save(tmp_path / "exact.csv")
+    assert main(["fit", str(tmp_path / "exact.csv"), "diffuse", model]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("closest of 2 models, by scatter of the points:\n")
     assert main(["fit", str(tmp_path / "a.csv"), model, "-o", "b.npz"]) == 1
     named = tmp_path / "named.csv"
     text = (tmp_path / "a.csv").read_text().replace(",value", ",BRDF*cos")
@@ -532,7 +536,10 @@ def test_command(tmp_path, capfd, mono):  # noqa: ARG001
     assert main([*command, "-o", *outputs]) == 0
     said = capfd.readouterr().out
     first, other = said.split("further from it:\n")
-    assert first.startswith("closest of 2 models:\nroughconductor:distribution=ggx,")
+    head, name, *_ = first.split("\n")
+    assert head == "closest of 2 models, by chi-square:"
+    assert name.startswith("roughconductor:distribution=ggx,")
+    assert "(30 degrees of freedom), " in first
     assert other.startswith("roughconductor:distribution=beckmann,")
     assert (tmp_path / "a.png").stat().st_size > 10_000
     prediction = gonio.load(tmp_path / "fit.npz")
