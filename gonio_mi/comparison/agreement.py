@@ -196,12 +196,12 @@ def judge(
         "chi2_dof": dof,
         "scale": 1 + fitted,
         "worst": worst,
-        "total": max(total, default=0.0),
+        "total": max(total, default=np.nan),
     }
     p_values = {
         "chi2": float(special.chdtrc(dof, chi2 * dof / n)),
         "worst": _largest(worst, n),
-        "total": _largest(statistics["total"], max(len(total), 1)),
+        "total": _largest(statistics["total"], len(total)) if total else 1.0,
     }
     return z, np.concatenate(errors), statistics, p_values
 

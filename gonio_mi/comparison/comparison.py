@@ -9,7 +9,8 @@ import numpy as np
 from ..plots import check_picture
 from ..plots.figure import finished
 from ..reports.page import picture_and_text
-from .figure import comparison_figure, p_text
+from .agreement import MIN_STUDENT_HITS
+from .figure import comparison_figure, conclusion, p_text
 from .pairing import NO_UNCERTAINTY
 
 N_WORST = 5
@@ -40,10 +41,11 @@ class Comparison:
         ``chi2``, the sum of the squares of `z`; ``chi2_dof``, its effective degrees of
         freedom (correlated points count less); ``scale``, the most likely common factor
         of the other's values, 1 without a scale uncertainty; ``worst``, the largest
-        ``abs(z)``; ``total``, the largest normal score of a hemisphere's total.
+        ``abs(z)``; ``total``, the largest normal score of a hemisphere's total, NaN if
+        none had hits enough to be tested.
     p_values : dict of float
         Of ``chi2``, ``worst`` and ``total``: the probability of a statistic this large
-        if both have the same true values.
+        if both have the same true values; 1 of what was not tested.
     alpha : float
         Probability with which the verdict is ``"differ"`` although they have.
     notes : tuple of str
@@ -133,7 +135,7 @@ class Comparison:
             "rms": self.rms,
             "rms_expected": self.rms_expected,
             "relative_rms": _known(self.relative_rms),
-            "statistics": dict(self.statistics),
+            "statistics": {name: _known(x) for name, x in self.statistics.items()},
             "p_values": dict(self.p_values),
             "worst": self.worst,
             "notes": list(self.notes),
@@ -183,11 +185,6 @@ class Comparison:
 
     def __str__(self) -> str:
         found, p, n = self.statistics, self.p_values, len(self.z)
-        verdict = {
-            "agree": "agree",
-            "differ": "DIFFER",
-            "undecided": "cannot be decided with these patches",
-        }[self.verdict]
         together = f" ({found['chi2']:.4g} for {n} points, before correlation)"
         if np.isclose(found["chi2_dof"], n):
             together = ""
@@ -207,10 +204,11 @@ class Comparison:
             f"{p_text(p['worst'])}",
             f"total       |z| = {found['total']:.3g} of the sum over all points of a "
             f"hemisphere, {p_text(p['total'])}"
-            if found["total"]
-            else "total       not tested, or no difference",
-            f"verdict     {verdict}: {p_text(self.p_value)}; a correct model gives p < "
-            f"{self.alpha:g} in one of {1 / self.alpha:.4g} comparisons",
+            if np.isfinite(found["total"])
+            else "total       not tested: each hemisphere's points had fewer than "
+            f"{MIN_STUDENT_HITS} hits",
+            f"verdict     {conclusion(self)}: {p_text(self.p_value)}; a correct model "
+            f"gives p < {self.alpha:g} in one of {1 / self.alpha:.4g} comparisons",
             "",
             "worst points, angles in degrees, values in 1/sr: value of "
             f"{self.labels[0]}, other of {self.labels[1]}{self._scaled()}, z: normal "

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..array_types import Flags, Floats, Integers
 from ..errors import LABEL, abridged
-from ..plots.figure import evenly, new_figure
+from ..plots.figure import evenly, new_figure, set_title
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -68,14 +68,24 @@ def comparison_figure(comparison: Any) -> Figure:
         axes[2 * row, 0].set_ylabel("BSDF (1/sr)")
         less = ", less the\npatches' variation" if comparison.within_patches else ""
         axes[2 * row + 1, 0].set_ylabel(f"z of the\ndifference{less}", size="small")
-    said = f"{comparison.verdict}: {p_text(comparison.p_value, 2)}"
+    said = f"{conclusion(comparison)}: {p_text(comparison.p_value, 2)}"
     title = f"{said}, rms {comparison.rms:.3g} 1/sr"
     if len(panels) > len(shown):
         title += f"; {len(shown)} of {len(panels)} panels are shown"
     if len(points) < len(comparison.z):
         title += f"; {len(points)} of {len(comparison.z)} points"
-    figure.suptitle(title, fontsize="medium")
+    set_title(figure, title)
     return figure
+
+
+def conclusion(comparison: Any) -> str:
+    """The verdict in words: means over patches decide no more than they can."""
+    if comparison.verdict == "undecided":
+        return "cannot be decided with these patches"
+    if comparison.verdict == "differ":
+        return "DIFFER"
+    within = " within what these patches can decide"
+    return f"agree{within if comparison.within_patches else ''}"
 
 
 def p_text(p: float, digits: int = 3) -> str:

@@ -450,7 +450,14 @@ def test_a_total_of_few_hits_is_not_tested():
         record = synthetic.record(rays=rays)
         values, _, _ = truth(record)
         comparison = compare(record, table_of(record, 2 * values))
-        assert bool(comparison.statistics["total"]) == tested
+        assert np.isfinite(comparison.statistics["total"]) == tested
+        words = "total       |z| = " if tested else "total       not tested: "
+        assert words in str(comparison)
+        known = comparison.to_dict()["statistics"]["total"] is not None
+        assert known == tested
+    assert comparison.p_values["total"] < 1
+    same = compare(record, replace(record))
+    assert "total       |z| = 0 of the sum" in str(same)
 
 
 @pytest.mark.parametrize("sampler", ["sobol", "independent"])

@@ -72,13 +72,30 @@ def test_where_patches_cannot_decide_it_is_said(tmp_path, capsys):
 def test_no_verdict_calls_equal_what_patches_cannot_decide():
     """A fifth too bright all over; twin: twice as bright is told."""
     record = gonio.measure(METAL, 30, collector="projected:12x24", rays=2**18)
-    for wrong, verdict in ((1.2, "undecided"), (2.0, "differ")):
+    undecided = "cannot be decided with these patches"
+    verdicts = ("undecided", undecided), ("differ", "DIFFER")
+    for wrong, (verdict, words) in zip((1.2, 2.0), verdicts):
         table = sampled(METAL, wrong=wrong, uncertainty=0.02)
         comparison = compare(record, table, alpha=budget.ALPHA)
         assert comparison.verdict == verdict
         assert f"points: {verdict}, p" in repr(comparison)
         title = comparison_figure(comparison).get_suptitle()
-        assert title.startswith((f"{verdict}: p = ", f"{verdict}: p < "))
+        assert title.startswith((f"{words}: p = ", f"{words}: p < "))
+
+
+def test_agreement_is_no_closer_than_patches_tell(tmp_path, capsys):
+    """Exact: text and picture say so; twin: of detectors at the points they do not."""
+    record = gonio.measure(METAL, 30, collector="projected:12x24", rays=2**18)
+    table = sampled(METAL, uncertainty=0.5)
+    words = "agree within what these patches can decide: p = "
+    comparison = compare(record, table)
+    assert f"verdict     {words}" in str(comparison)
+    assert comparison_figure(comparison).get_suptitle().startswith(words)
+    table.save(tmp_path / "points.csv")
+    told = ["--aperture-half-angle", "0.5"]
+    word = "roughconductor:alpha=0.3"
+    assert main(["compare", word, str(tmp_path / "points.csv"), *told]) == 0
+    assert "verdict     agree: p = " in capsys.readouterr().out
 
 
 def test_a_lobe_on_a_diffuse_ground_may_hide_about_the_pole(monkeypatch):
