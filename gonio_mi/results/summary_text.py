@@ -12,6 +12,7 @@ from ..settings.values import joined
 from ..single_precision import ROUNDING
 from .planning import FLOOR, lobe
 from .record import Record
+from .statistics import student_interval
 from .summary import LEVEL, Summary, Total
 from .tally import grouped, without_chance
 
@@ -27,6 +28,9 @@ MEANINGS = {
 
 # Decimals of a total, below which numbers are written with a power of ten.
 MAX_DECIMALS = 12
+
+# Times as wide as Student's interval, beyond which it is said what an interval allows.
+MAX_UNEXPLAINED = 2
 
 # Rows of totals that are shown, in halves from both ends.
 MAX_ROWS = 40
@@ -133,7 +137,7 @@ def _totals_text(summary: Summary, most_rows: int) -> str:
     if not without_chance(summary.record.tallies):
         ends = ["std_err", level + "low", level + "high"]
     header = ["theta_i", "phi_i", "of", "channel", "value", *ends]
-    rows = []
+    rows, shown = [], []
     copies = _copies(summary)
     measured = [
         one for one in summary.directions if (one.theta_i, one.phi_i) not in copies
@@ -146,6 +150,7 @@ def _totals_text(summary: Summary, most_rows: int) -> str:
             for total in of_channels or []:
                 angles = [_angle(one.theta_i), _angle(one.phi_i)]
                 rows.append([*angles, quantity, total.channel, *total_cells(total)])
+                shown.append(total)
     left_out = len(summary.directions) - len(measured)
     said = f"\n{left_out} copies of these are left out" if left_out else ""
     lines = aligned(header, rows).split("\n")
@@ -155,7 +160,25 @@ def _totals_text(summary: Summary, most_rows: int) -> str:
         lines[1 + half : -half] = [left]
     if any(error.startswith("<") for *_, error, _low, _high in rows):
         said += "\n<: below single-precision rounding"
+    n_batches = summary.record.n_batches
+    if not summary.integrals and any(_leaves_open(one, n_batches) for one in shown):
+        unseen = -math.log((1 - LEVEL) / 2)
+        text = (
+            "an interval far wider than its std_err leaves room for light that no ray "
+            f"may have found: what about {unseen:.1f} rays carry"
+        )
+        said += f"\n{_filled('', text)}"
     return "\n".join(lines) + said
+
+
+def _leaves_open(total: Total, n_batches: int) -> bool:
+    """Whether its interval is far wider than Student's t alone makes it."""
+    value, low, high = total.value, total.low, total.high
+    if value is None or total.std_err is None or low is None or high is None:
+        return False
+    std_err = np.array(max(total.std_err, ROUNDING * abs(value)))
+    _, half = student_interval(np.array(0.0), std_err, n_batches, LEVEL)
+    return bool(max(value - low, high - value) > MAX_UNEXPLAINED * half)
 
 
 def _stokes_text(record: Record, stokes: Sequence[float], most_rows: int) -> str:

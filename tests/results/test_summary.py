@@ -100,6 +100,20 @@ def test_a_rounding_in_place_of_an_error_is_explained():
     assert note in said
 
 
+def test_an_interval_for_light_that_no_ray_found_is_explained():
+    """Where batches hardly scatter, of which rays may have missed -ln(0.025) / n.
+
+    Twin: those of independent rays scatter by far more.
+    """
+    note = "light that no ray may have found: what about 3.7 rays carry"
+    assert "no ray may have" not in summary_text(summarize(synthetic.record()))
+    alike = synthetic.record()
+    tally = synthetic.writeable(alike.tallies[0])
+    tally.sums[:] = tally.sums[:1]
+    said = summary_text(summarize(replace(alike, tallies=(tally,))))
+    assert note in " ".join(said.split())
+
+
 @pytest.mark.parametrize("of", ["brdf", "btdf"])
 def test_theta_o_counts_from_one_pole_in_both_hemispheres(of):
     record = synthetic.record(both=of == "btdf")
