@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 from matplotlib import colors
 from matplotlib.axes import Axes
-from matplotlib.collections import QuadMesh
+from matplotlib.collections import Collection, PolyCollection
+from matplotlib.patches import Circle
 from matplotlib.patheffects import withStroke
 
 from ..array_types import Floats
-from ..collector import RingsAndSectors
+from ..collector import Apertures, RingsAndSectors
 from ..results.record import Record
 from .profile import BORDER_TOLERANCE, drawn_in_rings, sectors_beside
 
@@ -70,16 +71,22 @@ def add_legend(place: Any, maps: Iterable[Axes], **where: Any) -> None:
 
 def shown_values(
     single: Record, of: str, values: Floats | None = None
-) -> tuple[RingsAndSectors, np.ma.MaskedArray[Any, Any]]:
+) -> tuple[RingsAndSectors | Apertures, np.ma.MaskedArray[Any, Any]]:
     """Rings and sectors, and the mean over channels in them, masked without a hit.
 
-    Or other `values` of the patches, shape ``(n_theta, n_phi)``, masked where NaN.
+    Or other `values` of the patches, shape ``(n_theta, n_phi)``, masked where NaN. Of
+    apertures these themselves, and their values in one column.
     """
     shown = getattr(single, of) if values is None else values[..., None]
-    patches, means = drawn_in_rings(single.subdivision, shown)
+    empty = single.without_hit[int(of == "btdf"), ..., None]
+    patches: RingsAndSectors | Apertures
+    if isinstance(single.subdivision, Apertures):
+        patches, n = single.subdivision, single.subdivision.n_detectors
+        means, empty = shown[:n], empty[:n]
+    else:
+        patches, means = drawn_in_rings(single.subdivision, shown)
+        _, empty = drawn_in_rings(single.subdivision, empty)
     means = means.mean(axis=-1)
-    hits = single.without_hit[int(of == "btdf"), ..., None]
-    _, empty = drawn_in_rings(single.subdivision, hits)
     masked = empty[..., 0] if values is None else empty[..., 0] | np.isnan(means)
     return patches, np.ma.masked_array(means, mask=masked)
 
@@ -104,25 +111,28 @@ def draw_patches(
     colours: str = "viridis",
     *,
     values: Floats | None = None,
-) -> QuadMesh:
+) -> Collection:
     """Fill each patch with the colour of its value, and draw circles and directions.
 
     `note` follows the name of the mirror direction, or of that straight through;
     `values` are drawn instead of the quantity `of`.
     """
     patches, shown = shown_values(single, of, values)
-    pieces = math.ceil(360 / patches.n_phi / MAX_CHORD_DEG)
-    steps = np.arange(patches.n_phi * pieces + 1) / pieces
-    phi = np.interp(steps, np.arange(patches.n_phi + 1), patches.phi_edges)
-    radius = np.sin(patches.theta_edges)[:, None]
-    mesh = axes.pcolormesh(
-        radius * np.cos(phi),
-        radius * np.sin(phi),
-        np.ma.repeat(shown, pieces, axis=1),
-        norm=scale,
-        cmap=colours,
-        rasterized=True,
-    )
+    style: dict[str, Any] = {"norm": scale, "cmap": colours, "rasterized": True}
+    mesh: Collection
+    if isinstance(patches, Apertures):
+        axes.add_patch(Circle((0, 0), 1, color=NO_HIT, lw=0))
+        # drawn with a line, so that the narrowest are seen
+        mesh = PolyCollection(_rims(patches), edgecolors="face", linewidths=1, **style)
+        mesh.set_array(shown.ravel())
+        axes.add_collection(mesh)
+    else:
+        pieces = math.ceil(360 / patches.n_phi / MAX_CHORD_DEG)
+        steps = np.arange(patches.n_phi * pieces + 1) / pieces
+        phi = np.interp(steps, np.arange(patches.n_phi + 1), patches.phi_edges)
+        radius = np.sin(patches.theta_edges)[:, None]
+        x, y = radius * np.cos(phi), radius * np.sin(phi)
+        mesh = axes.pcolormesh(x, y, np.ma.repeat(shown, pieces, axis=1), **style)
     mesh.set_cmap(mesh.get_cmap().with_extremes(bad=NO_HIT))
     circle = np.radians(np.arange(361))
     for theta in CIRCLES:
@@ -130,9 +140,9 @@ def draw_patches(
         style = {"c": "0.2", "lw": 0.8} if theta == 90 else {"c": "w", "lw": 0.4}
         axes.plot(size * np.cos(circle), size * np.sin(circle), **style)
     _mark_directions(axes, single, of, note)
-    if shown.mask.any():
-        cones = single.subdivision.aperture_half_angle is not None
-        label = "no aperture, or no hit" if cones else "no hit"
+    grey = ["no aperture"] if isinstance(patches, Apertures) else []
+    grey += ["no hit"] if shown.mask.any() else []
+    for label in grey:
         axes.plot([], [], "s", color=NO_HIT, label=label)
     limits = -HALF_WIDTH, HALF_WIDTH
     axes.set(aspect="equal", xlim=limits, ylim=limits)
@@ -140,7 +150,21 @@ def draw_patches(
     return mesh
 
 
-def add_bar(figure: Any, mesh: QuadMesh, place: Axes, single: Record, of: str) -> None:
+def _rims(patches: Apertures) -> Floats:
+    """Rims of cones as they are seen along -z, shape ``(n, points, 2)``."""
+    theta, phi = (angle[:-1] for angle in patches.middles)
+    half, turn = math.radians(patches.half_angle), np.radians(np.arange(360))
+    across = math.sin(half) * np.cos(turn) * np.cos(theta)
+    across += math.cos(half) * np.sin(theta)
+    along = math.sin(half) * np.sin(turn)
+    x = across * np.cos(phi) - along * np.sin(phi)
+    y = across * np.sin(phi) + along * np.cos(phi)
+    return np.stack([x, y], axis=-1)
+
+
+def add_bar(
+    figure: Any, mesh: Collection, place: Axes, single: Record, of: str
+) -> None:
     """Draw the colour bar of a map into axes of its own."""
     colour_bar(figure, mesh, None, bar_label(single, of), cax=place)
 
@@ -154,7 +178,7 @@ def bar_label(single: Record, of: str) -> str:
 
 
 def colour_bar(
-    figure: Any, mesh: QuadMesh, beside: Any, label: str, **place: Any
+    figure: Any, mesh: Collection, beside: Any, label: str, **place: Any
 ) -> None:
     """Draw a colour bar `beside` axes, or where it is said by matplotlib's words."""
     bar = figure.colorbar(mesh, ax=beside, **place)

@@ -4,7 +4,7 @@ Here too are the rings and sectors that are drawn in the place of other patches.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -49,14 +49,14 @@ class Profile:
 
     Attributes
     ----------
-    edges : ndarray, shape (2 n_theta + 1,)
+    edges : ndarray, shape (n + 1,)
         Edges of the patches, theta_o in degrees; negative on the side of the source.
-    theta : ndarray, shape (2 n_theta,)
+    theta : ndarray, shape (n,)
         Middles of the patches in degrees.
-    value, low, high : ndarray, shape (2 n_theta, channels)
-        Patch means in 1/sr and their intervals.
-    empty : ndarray of bool, shape (2 n_theta, channels)
-        Where nothing arrived: `high` is an upper limit.
+    value, low, high : ndarray, shape (n, channels)
+        Patch means in 1/sr and their intervals; NaN between apertures.
+    empty : ndarray of bool, shape (n, channels)
+        Where nothing arrived: `high` is an upper limit, or NaN between apertures.
     """
 
     edges: Floats
@@ -94,8 +94,16 @@ def cut_profile(
 
     Those of each channel, or one of all, ``(n_theta, n_phi, 1)``.
     """
+    dark = single.estimates[0].dark(int(of == "btdf"))
+    if value.shape[-1] == 1:
+        dark = np.all(dark, axis=-1, keepdims=True)
+    arrays = value, low, high, dark
+    phi_i = float(np.radians(np.nan_to_num(single.phi_i[0])))
+    if isinstance(single.subdivision, Apertures):
+        return _cones_in_plane(single.subdivision, phi_i, arrays)
+    if isinstance(single.subdivision, ShirleyChiu):
+        return _runs_in_plane(single.subdivision, phi_i, arrays)
     patches, _ = drawn_in_rings(single.subdivision, single.brdf)
-    phi_i = np.radians(np.nan_to_num(single.phi_i[0]))
     towards, beyond = (
         int(patches.patch([math.cos(phi), math.sin(phi), 1])) % patches.n_phi
         for phi in (phi_i, phi_i + np.pi)
@@ -105,15 +113,55 @@ def cut_profile(
         _, array = drawn_in_rings(single.subdivision, values)
         return np.concatenate([array[::-1, towards], array[:, beyond]])
 
-    dark = single.estimates[0].dark(int(of == "btdf"))
-    if value.shape[-1] == 1:
-        dark = np.all(dark, axis=-1, keepdims=True)
     edges, theta = np.degrees(patches.theta_edges), np.degrees(patches.theta)
     return Profile(
         np.concatenate([-edges[:0:-1], edges]),
         np.concatenate([-theta[::-1], theta]),
-        *map(cut, (value, low, high, dark)),
+        *map(cut, arrays),
     )
+
+
+def _cones_in_plane(
+    patches: Apertures, phi_i: float, arrays: Iterable[NDArray[Any]]
+) -> Profile:
+    """Profile of the cones that the plane of incidence cuts, each one cell.
+
+    What lies between them is dark and has no upper limit.
+    """
+    axes = patches.axes[:-1]
+    beyond = -axes[:, 0] * math.cos(phi_i) - axes[:, 1] * math.sin(phi_i)
+    # cosine of the angle between an axis and its projection on the plane
+    cosine = np.hypot(beyond, axes[:, 2])
+    cos_half = math.cos(math.radians(patches.half_angle))
+    (met,) = np.nonzero(cosine > cos_half)
+    theta = np.degrees(np.arctan2(beyond, axes[:, 2]))[met]
+    met, theta = met[np.argsort(theta)], np.sort(theta)
+    half = np.degrees(np.arccos(cos_half / cosine[met]))
+    edges = np.array([-90, *np.stack([theta - half, theta + half], 1).ravel(), 90])
+    middles = (edges[1:] + edges[:-1]) / 2
+
+    def cut(values: NDArray[Any]) -> NDArray[Any]:
+        flat = values.reshape(-1, values.shape[-1])
+        nothing: Any = True if flat.dtype == bool else np.nan
+        cells = np.full((len(middles), flat.shape[-1]), nothing)
+        cells[1::2] = flat[met]
+        return cells
+
+    return Profile(edges, middles, *map(cut, arrays))
+
+
+def _runs_in_plane(
+    patches: ShirleyChiu, phi_i: float, arrays: Iterable[NDArray[Any]]
+) -> Profile:
+    """Profile of the patches that the plane of incidence crosses, to a fine step."""
+    steps = np.arange(-90, 90 + FINE_STEP_DEG, FINE_STEP_DEG, dtype=float)
+    middles = np.radians(steps[1:] + steps[:-1]) / 2
+    index = patches.patch(direction(np.abs(middles), phi_i + np.pi * (middles > 0)))
+    begins = np.flatnonzero(np.diff(index, prepend=-1))
+    edges = steps[[*begins, -1]]
+    met = index[begins]
+    cells = (values.reshape(-1, values.shape[-1])[met] for values in arrays)
+    return Profile(edges, (edges[1:] + edges[:-1]) / 2, *cells)
 
 
 def draw_profiles(
@@ -246,9 +294,10 @@ def _add_legend(
     if len(shown) > 1:
         axes.plot([], [], marker="o", ms=3, label="reflection", **grey)
         axes.plot([], [], marker="o", ms=3, mfc="w", label="transmission", **grey)
-    if any(np.isfinite(cut.low[~cut.empty]).all() for cut in cuts):
+    lows = [cut.low[~cut.empty] for cut in cuts]
+    if any(low.size and np.isfinite(low).all() for low in lows):
         axes.plot([], [], marker="|", ms=9, label=bars_text(single), **grey)
-    if any(cut.empty.any() for cut in cuts):
+    if any(np.isfinite(cut.high[cut.empty]).any() for cut in cuts):
         label = "upper limit, no hit"
         axes.plot([], [], marker="v", ms=4, mfc="none", label=label, **grey)
     if not np.isnan(single.theta_i[0]):
@@ -303,14 +352,13 @@ def drawn_in_rings(
 ) -> tuple[RingsAndSectors, NDArray[Any]]:
     """Rings and sectors, and `values` in them; fine ones where patches have none.
 
-    NaN, or true for flags, is what lies between apertures.
-
     Parameters
     ----------
     patches : Subdivision
+        Other than apertures, which leave room between them.
     values : ndarray, shape (..., *patches.shape, channels)
     """
-    if not isinstance(patches, (Apertures, ShirleyChiu)):
+    if not isinstance(patches, ShirleyChiu):
         return patches.in_rings(values)
     theta, phi = (
         tuple(map(float, range(0, end + FINE_STEP_DEG, FINE_STEP_DEG)))
@@ -318,7 +366,5 @@ def drawn_in_rings(
     )
     fine = Borders(theta, phi)
     index = patches.patch(direction(*fine.middles))
-    flat = values.reshape(*values.shape[:-3], -1, values.shape[-1])[..., index, :]
-    between = index >= patches.n_detectors
-    flat[..., between, :] = True if flat.dtype == bool else np.nan
-    return fine, flat
+    flat = values.reshape(*values.shape[:-3], -1, values.shape[-1])
+    return fine, flat[..., index, :]
