@@ -35,9 +35,10 @@ def comparison_figure(comparison: Any) -> Figure:
     One panel per incident direction, channel and hemisphere, up to six, evenly among
     all, with the points of the two half-planes next to the plane of incidence over the
     signed polar angle: positive on the mirror direction's side. Points that do not line
-    up are drawn over theta_o. A table with hardly more than a point for each incident
-    direction has one panel per channel, over theta_i. All panels are linear, or all are
-    logarithmic; the title says what is left out.
+    up are drawn over theta_o. A hemisphere that is dark in both is left out. A table
+    with hardly more than a point for each incident direction has one panel per channel,
+    over theta_i. All panels are linear, or all are logarithmic; the title says what is
+    left out.
 
     Raises ImportError without Matplotlib.
     """
@@ -107,6 +108,7 @@ class _Panel:
 def _panels(comparison: Any) -> list[_Panel]:
     """One for each incident direction, channel and hemisphere, or for each channel."""
     lower = comparison.theta_o > 90
+    lit = (comparison.value != 0) | (comparison.other != 0)
     columns = (comparison.theta_i, comparison.phi_i, comparison.channel, lower)
     distinct = list(dict.fromkeys(zip(*(column.tolist() for column in columns))))
     if len(distinct) > 1 and len(comparison.theta_i) < 2 * len(distinct):
@@ -114,8 +116,9 @@ def _panels(comparison: Any) -> list[_Panel]:
             _over_incidence(comparison, channel)
             for channel in dict.fromkeys(comparison.channel.tolist())
         ]
-    sides = ("reflection", "transmission") if lower.any() and not lower.all() else ()
-    return [_profile(comparison, sides, *one) for one in distinct]
+    shown = {*lower[lit].tolist()} or {*lower.tolist()}
+    sides = ("reflection", "transmission") if len(shown) > 1 else ()
+    return [_profile(comparison, sides, *one) for one in distinct if one[-1] in shown]
 
 
 def _over_incidence(comparison: Any, channel: str) -> _Panel:

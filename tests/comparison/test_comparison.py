@@ -1147,6 +1147,29 @@ def test_a_picture_says_what_it_leaves_out_and_parts_hemispheres():
     assert title.endswith(f"of {2 * 8 * 128} points")
 
 
+def test_a_hemisphere_that_is_dark_in_both_is_not_drawn():
+    """Twins: the other one is; and so is one with light in either of the two."""
+    one, n = np.ones(4), 4
+    theta_o, phi_o = np.array([20.0, 40, 160, 140]), 180 * one
+    upper = np.array([0.1, 0.2, 0, 0])
+    lower = np.array([0, 0, 0.1, 0.2])
+    for value, other, panels in (
+        (upper, upper, 1),
+        (lower, lower, 1),
+        (upper, lower, 2),
+        (0 * one, 0 * one, 2),
+    ):
+        found = Comparison(
+            30 * one, 0 * one, theta_o, phi_o, np.full(n, "Y"), value, 1e-3 * one,
+            other, 1e-3 * one, 0 * one, {}, {"chi2": 1.0}, 1e-3,
+        )  # fmt: skip
+        drawn = comparison_figure(found).axes[:panels]
+        assert len(comparison_figure(found).axes) == 2 * panels
+        named = [axes.get_title().rpartition(", ")[2] for axes in drawn]
+        both = ["reflection", "transmission"]
+        assert named == (both if panels == 2 else ["Y"])
+
+
 @pytest.mark.parametrize(
     ("least", "scale"), [(0.01, "linear"), (1e-4, "log"), (-1e-4, "linear")]
 )
