@@ -11,7 +11,7 @@ import numpy as np
 from scipy import special
 
 from ..array_types import Floats
-from ..plots.figure import finished, new_figure
+from ..plots.figure import direction_text, finished, new_figure
 from ..reports.page import (
     check_page,
     figure,
@@ -221,7 +221,7 @@ def _title(chart: Chart, target: float) -> str:
     """Specimen and conditions; what to use; what is taken for true."""
     direction = "incident as the emitter"
     if not np.isnan(chart.theta_i):
-        direction = f"θᵢ = {chart.theta_i:g}°, φᵢ = {chart.phi_i:g}°"
+        direction = direction_text(chart.theta_i, chart.phi_i)
     parts = [chart.specimen, direction, chart.collector]
     if chart.reference.values.shape[0] == 2:
         parts.append("BRDF and BTDF")

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..array_types import Flags, Floats, Integers
 from ..errors import LABEL, abridged
-from ..plots.figure import evenly, new_figure, set_title
+from ..plots.figure import direction_text, evenly, new_figure, set_title
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -66,7 +66,7 @@ def comparison_figure(comparison: Any) -> Figure:
     n_legends = min(3, columns)
     figure.legend(*handles, loc="outside lower center", ncols=n_legends, frameon=False)
     for row in range(rows):
-        axes[2 * row, 0].set_ylabel("BSDF (1/sr)")
+        axes[2 * row, 0].set_ylabel(f"{quantity_of(comparison.theta_o[points])} (1/sr)")
         less = ", less the\npatches' variation" if comparison.within_patches else ""
         axes[2 * row + 1, 0].set_ylabel(f"z of the\ndifference{less}", size="small")
     said = f"{conclusion(comparison)}: {p_text(comparison.p_value, 2)}"
@@ -87,6 +87,12 @@ def conclusion(comparison: Any) -> str:
         return "DIFFER"
     within = " within what these patches can decide"
     return f"agree{within if comparison.within_patches else ''}"
+
+
+def quantity_of(theta_o: Floats) -> str:
+    """BRDF or BTDF, if all exit angles in degrees are of one hemisphere, or BSDF."""
+    lower = theta_o > 90
+    return "BTDF" if lower.all() else "BSDF" if lower.any() else "BRDF"
 
 
 def p_text(p: float, digits: int = 3) -> str:
@@ -124,7 +130,7 @@ def _panels(comparison: Any) -> list[_Panel]:
 def _over_incidence(comparison: Any, channel: str) -> _Panel:
     """All points of a channel, over the angle of incidence."""
     points = np.flatnonzero(comparison.channel == channel)
-    label = "theta_i (degrees), all points"
+    label = "θᵢ (degrees), all points"
     return _Panel(points, comparison.theta_i[points], channel, label, line="")
 
 
@@ -144,9 +150,9 @@ def _profile(
     if lower:
         theta_o = 180 - theta_o
     x, in_plane, label = points_in_profile(theta_o, phi_o, phi_i)
-    title = f"theta_i {theta_i:.4g}°, phi_i {phi_i:.4g}°, {channel}"
+    title = f"{direction_text(theta_i, phi_i)}, {channel}"
     title += f", {sides[lower]}" if sides else ""
-    label = f"180 - {label}" if lower else label
+    label = f"180° - {label}" if lower else label
     return _Panel(points[in_plane], x[in_plane], title, label)
 
 
@@ -210,16 +216,16 @@ def points_in_profile(
     backward &= abs(nearest[1]) <= 90
     chosen = forward | backward | on_pole
     if chosen.sum() < min(3, len(theta_o)):
-        return theta_o, np.ones(len(theta_o), bool), "theta_o (degrees), all points"
+        return theta_o, np.ones(len(theta_o), bool), "θₒ (degrees), all points"
     azimuths = [
-        f"{sign} at phi_o {(phi_i + turn + angle) % 360:.4g}°"
+        f"{sign} at φₒ = {(phi_i + turn + angle) % 360:.4g}°"
         for sign, turn, angle, there in (
             ("positive", 180, nearest[0], forward),
             ("negative", 0, nearest[1], backward),
         )
         if there.any()
     ]
-    label = f"theta_o (degrees), {', '.join(azimuths)}"
+    label = f"θₒ (degrees), {', '.join(azimuths)}"
     return np.where(backward & ~forward, -theta_o, theta_o), chosen, label
 
 

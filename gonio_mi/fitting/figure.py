@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..array_types import Floats
-from ..comparison.figure import points_in_profile
+from ..comparison.figure import points_in_profile, quantity_of
 from ..errors import SettingError
 from ..files.measured_table import MeasuredTable
-from ..plots.figure import evenly, finished, new_figure
+from ..plots.figure import direction_text, evenly, finished, new_figure
 from ..results.record import Record
 
 if TYPE_CHECKING:
@@ -89,12 +89,9 @@ def _draw_patches(axes: Axes, fits: list[Any], index: int, of: str) -> None:
         model = profile(fitted.prediction[index], of)
         line = np.append(model.value[:, 0], model.value[-1, 0])
         axes.step(model.edges, line, where="post", label=fitted.label)
-    axes.set_title(
-        f"theta_i {single.theta_i[0]:.4g}°, phi_i {single.phi_i[0]:.4g}°, "
-        f"{single.channels[0]}",
-        fontsize="small",
-    )
-    axes.set_xlabel("theta_o (degrees; negative: towards the source)")
+    direction = direction_text(single.theta_i[0], single.phi_i[0])
+    axes.set_title(f"{direction}, {single.channels[0]}", fontsize="small")
+    axes.set_xlabel("θₒ (degrees; negative: towards the source)")
 
 
 @dataclass
@@ -122,7 +119,7 @@ def _points_figure(fits: list[Any], path: str | PathLike[str] | None) -> Figure:
     )
     for (above, below), number in zip(axes.T, shown):
         _draw_points(fits, points, directions[number], above, below)
-    axes[0, 0].set_ylabel("BSDF (1/sr)")
+    axes[0, 0].set_ylabel(f"{quantity_of(points.exit[:, 0])} (1/sr)")
     axes[1, 0].set_ylabel("model / points - 1\n(what is beyond: not drawn)")
     axes[0, 0].legend(frameon=False, fontsize="small")
     return finished(figure, path)
@@ -175,9 +172,7 @@ def _draw_points(
         above.plot(x, model, linewidth=1, label=fitted.label)
         left.append((model - value) / some)
         below.plot(x, left[-1], linewidth=1)
-    above.set_title(
-        f"theta_i {incident[0]:.4g}°, phi_i {incident[1]:.4g}°", fontsize="small"
-    )
+    above.set_title(direction_text(*incident), fontsize="small")
     found = np.abs(np.stack(left))
     reach = (
         np.quantile(found[np.isfinite(found)], RESIDUAL_QUANTILE) if some.any() else 1.0

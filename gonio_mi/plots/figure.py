@@ -31,6 +31,11 @@ def evenly(n: int, most: int) -> list[int]:
     return np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(int)).tolist()
 
 
+def direction_text(theta: float, phi: float) -> str:
+    """An incident direction, in degrees, as all pictures name it."""
+    return f"θᵢ = {theta:g}°, φᵢ = {phi:g}°"
+
+
 def check_matplotlib() -> None:
     """Raise ImportError in one sentence if matplotlib is not installed."""
     try:

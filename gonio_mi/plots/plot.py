@@ -22,6 +22,7 @@ from ..single_precision import ROUNDING
 from .figure import (
     ANIMATION_ENDINGS,
     check_matplotlib,
+    direction_text,
     evenly,
     finished,
     new_figure,
@@ -291,8 +292,7 @@ def _common_scale(record: Record, of: str) -> Any:
 
 
 def _direction(record: Record, number: int) -> str:
-    theta, phi = record.theta_i[number], record.phi_i[number]
-    return f"θᵢ = {theta:g}°, φᵢ = {phi:g}°"
+    return direction_text(record.theta_i[number], record.phi_i[number])
 
 
 def _name(record: Record, longest: int) -> str:

@@ -1122,8 +1122,9 @@ def test_a_point_for_each_incidence_is_drawn_over_incidence():
         above, below = axes[0], axes[panels]
         drawn = np.asarray(above.containers[0][0].get_xdata()).tolist()
         assert drawn == ([0, 30, 60] if k == 1 else [-40, -20])
-        assert below.get_xlabel().startswith("theta_i" if k == 1 else "theta_o")
-        assert k == 1 or below.get_xlabel().endswith("negative at phi_o 10°")
+        assert below.get_xlabel().startswith("θᵢ" if k == 1 else "θₒ")
+        assert k == 1 or below.get_xlabel().endswith("negative at φₒ = 10°")
+        assert k == 1 or above.get_title() == "θᵢ = 60°, φᵢ = 0°, Y"
 
 
 def test_a_picture_says_what_it_leaves_out_and_parts_hemispheres():
@@ -1168,6 +1169,8 @@ def test_a_hemisphere_that_is_dark_in_both_is_not_drawn():
         named = [axes.get_title().rpartition(", ")[2] for axes in drawn]
         both = ["reflection", "transmission"]
         assert named == (both if panels == 2 else ["Y"])
+        quantity = "BSDF" if panels == 2 else "BTDF" if value is lower else "BRDF"
+        assert drawn[0].get_ylabel() == f"{quantity} (1/sr)"
 
 
 @pytest.mark.parametrize(

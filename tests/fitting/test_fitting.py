@@ -566,8 +566,11 @@ def test_fits_of_one_table_are_drawn_together(mono, tmp_path):  # noqa: ARG001
     fits = [gonio.fit(table, "diffuse", **told) for _ in range(2)]
     figure = fit_figure(fits, tmp_path / "fits.png")
     assert (tmp_path / "fits.png").stat().st_size > 0
-    for axes in figure.axes[len(figure.axes) // 2 :]:
-        assert axes.get_xlabel().startswith("theta_o")
+    half = len(figure.axes) // 2
+    assert figure.axes[0].get_title() == "θᵢ = 10°, φᵢ = 0°"
+    assert figure.axes[0].get_ylabel() == "BRDF (1/sr)"
+    for axes in figure.axes[half:]:
+        assert axes.get_xlabel().startswith("θₒ (degrees)")
         # 1 % beside a model that is right
         assert 0.01 < axes.get_ylim()[1] < 0.02
     with pytest.raises(ValueError, match="of one record"):
