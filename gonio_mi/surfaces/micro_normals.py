@@ -156,6 +156,8 @@ N_RINGS, MIN_DRAWN_RINGS = 45, 5
 THETA = (15.0, 30.0, 45.0, 60.0, 70.0, 80.0)
 PHI = (0.0, 90.0)
 
+# Of the models in pictures, and their common colour where it is of no azimuth.
+GREY = "0.4"
 LINE_STYLES = {"beckmann": "-", "ggx": "--"}
 
 
@@ -217,8 +219,8 @@ class MicroNormals:
         """Figure of densities and masking, written if `path` is given.
 
         Left, the density over the polar angle, mean over azimuth; right, the visible
-        fraction of the facets over the direction that looks at them, for each azimuth.
-        Bars are standard errors, lines the models of largest likelihood.
+        fraction of the facets over the direction that looks at them: colours are
+        azimuths. Bars are standard errors, lines the models of largest likelihood.
         """
         figure = new_figure(path, figsize=(11, 4.4))
         left, right = figure.subplots(1, 2)
@@ -226,11 +228,11 @@ class MicroNormals:
         middles = (edges[:-1] + edges[1:]) / 2
         bars = middles, self.density, self.density_std_err
         left.errorbar(*bars, fmt="ok", ms=3, label="facets +- std_err")
-        for number, (name, style) in enumerate(LINE_STYLES.items()):
+        for name, style in LINE_STYLES.items():
             u, v = self.alphas[name]
             label = f"{name}, alpha {u:.3g} x {v:.3g}"
             curve = self.model_density(name)
-            left.plot(middles, curve, style, c=f"C{number}", label=label)
+            left.plot(middles, curve, style, c=GREY, label=label)
         (held,) = np.nonzero(self.density)
         positive = self.density[held]
         left.set(
@@ -253,12 +255,14 @@ class MicroNormals:
                 self.masking_std_err[own],
                 fmt="o",
                 c=colour,
-                label=f"phi {phi:g}° +- std_err",
+                label=f"φ = {phi:g}°, facets +- std_err",
             )
             for name, style in LINE_STYLES.items():
                 curve = self.model_masking(name)[own]
                 right.plot(self.theta[own], curve, style, c=colour, lw=1)
-        right.set(xlabel="theta (degrees)", ylabel="visible part G1, Smith: lines")
+        for name, style in LINE_STYLES.items():
+            right.plot([], [], style, c=GREY, lw=1, label=f"{name}, Smith")
+        right.set(xlabel="θ (degrees)", ylabel="visible part G1")
         right.set_ylim(0, 1.05)
         right.legend(frameon=False)
         return finished(figure, path)

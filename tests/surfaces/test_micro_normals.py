@@ -11,6 +11,7 @@ from gonio_mi.cli import main
 from gonio_mi.errors import SpecimenError
 from gonio_mi.surfaces import smith
 from gonio_mi.surfaces.heights import gaussian_heights, height_statistics
+from gonio_mi.surfaces.micro_normals import LINE_STYLES
 
 # isort: split
 import mitsuba as mi
@@ -240,6 +241,25 @@ def test_the_picture_ends_where_the_facets_do(alpha, least, most):
     assert flat.theta_edges[np.flatnonzero(flat.density)[-1] + 1] <= high
     assert least <= high <= most
     assert len(repr(flat)) < 100
+
+
+def test_colours_of_the_picture_are_azimuths_and_its_line_styles_models(found):
+    """Exact: of both panels, and the legend of the right one says so."""
+    left, right = found.plot().axes
+    colours = {line.get_label(): line.get_color() for line in right.lines}
+    texts = [text.get_text() for text in right.get_legend().get_texts()]
+    azimuths = np.unique(found.phi)
+    assert texts == [
+        *(f"{name}, Smith" for name in LINE_STYLES),
+        *(f"φ = {phi:g}°, facets +- std_err" for phi in azimuths),
+    ]
+    of_azimuths = {bars[0].get_color() for bars in right.containers}
+    assert len(of_azimuths) == len(azimuths)
+    for line, (name, style) in zip(left.lines[1:], LINE_STYLES.items()):
+        assert line.get_label().startswith(name)
+        assert line.get_linestyle() == style
+        assert line.get_color() == colours[f"{name}, Smith"]
+        assert line.get_color() not in of_azimuths
 
 
 def test_rectangles_show_no_triangles():
