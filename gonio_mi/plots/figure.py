@@ -33,7 +33,7 @@ def evenly(n: int, most: int) -> list[int]:
 
 def direction_text(theta: float, phi: float) -> str:
     """An incident direction, in degrees, as all pictures name it."""
-    return f"θᵢ = {theta:g}°, φᵢ = {phi:g}°"
+    return f"θᵢ = {theta + 0.0:g}°, φᵢ = {phi + 0.0:g}°"  # no -0
 
 
 def check_matplotlib() -> None:

@@ -6,6 +6,7 @@ matplotlib is the optional extra ``plot``; it is imported when a figure is drawn
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
@@ -37,8 +38,9 @@ MAX_TITLE = 80
 METHOD_SETTINGS = ("estimator", "sampler")
 # Settings that are said where they are not the default.
 DEFAULTS = {"period": "none", "order": "all"}
-# Maps that a sheet has room for, and frames that make an animation long enough.
-MAX_MAPS, MAX_FRAMES = 24, 60
+# Maps that a sheet has room for, and those of a row; frames that make an animation long
+# enough.
+MAX_MAPS, MAX_COLUMNS, MAX_FRAMES = 24, 6, 60
 FRAMES_PER_SECOND = 4
 # Inches at the right of a frame for the colour bar with its numbers and its name.
 BAR_WIDTH = 1.1
@@ -137,8 +139,8 @@ def figure_title(record: Record, index: int, stokes: Floats | None = None) -> st
     ]
     lines = [
         _name(record, MAX_TITLE),
-        ", ".join(filter(None, facts)) + ", " + str(record.subdivision),
-        ", ".join(rays),
+        _items([*filter(None, facts), str(record.subdivision)]),
+        _items(rays),
     ]
     totals = [
         _total(of, *_of_light(single, of, stokes))
@@ -149,11 +151,13 @@ def figure_title(record: Record, index: int, stokes: Floats | None = None) -> st
     worst, _ = precision(single)
     if stokes is None and 0 < worst < math.inf:
         percent = f"{100 * float(f'{worst:.2g}'):g} %"
-        totals.append(f"bright patches ±\N{NO-BREAK SPACE}{percent} at worst")
-    lines.append(", ".join(totals))
-    if "±" in lines[-1]:
+        totals.append(f"bright patches ± {percent} at worst")
+    if (n := len(single.channels)) > 1:
+        totals[0] = f"means of {n} channels: {totals[0]}"
+    if any("±" in one for one in totals):
         of = "largest error" if without_chance(single.tallies) else "std_err"
-        lines[-1] += f" (± {of})"
+        totals[-1] += f" (± {of})"
+    lines.append(_items(totals))
     return "\n".join(lines).encode("utf-8", "backslashreplace").decode()
 
 
@@ -165,17 +169,21 @@ def _of_light(single: Record, of: str, stokes: Floats | None) -> tuple[Floats, F
     return power / stokes[0], error / stokes[0]
 
 
+def _items(texts: Sequence[str]) -> str:
+    """Items of a line that is broken between them only."""
+    return ", ".join(text.replace(" ", "\N{NO-BREAK SPACE}") for text in texts)
+
+
 def _total(name: str, values: Floats, std_errs: Floats) -> str:
     """Mean over the channels, with the standard error of a single channel."""
     if len(values) > 1:
-        return f"{name} {values.mean():.4g}, mean of {len(values)} channels"
+        return f"{name} {values.mean():.4g}"
     value, std_err = float(values[0]), float(std_errs[0])
     if not std_err > 0:
         return f"{name} {value:.4g}"
     std_err = max(std_err, ROUNDING * abs(value))
     decimals = max(0, 1 - math.floor(math.log10(std_err)))
-    words = f"{name} {value:.{decimals}f} ± {std_err:.{decimals}f}"
-    return words.replace(" ", "\N{NO-BREAK SPACE}")
+    return f"{name} {value:.{decimals}f} ± {std_err:.{decimals}f}"
 
 
 def sheet(record: Record, path: str | PathLike[str] | None = None) -> Figure:
@@ -194,8 +202,8 @@ def sheet(record: Record, path: str | PathLike[str] | None = None) -> Figure:
     """
     quantities = received(record)
     shown = evenly(len(record), MAX_MAPS // len(quantities))
-    columns = min(len(shown), 6)
-    rows = math.ceil(len(shown) / columns)
+    rows = math.ceil(len(shown) / MAX_COLUMNS)
+    columns = math.ceil(len(shown) / rows)
     size = 2.1 * columns + 1.2, 2.3 * rows * len(quantities) + 0.8
     figure = new_figure(path, figsize=size)
     from .polar_map import add_bar, add_legend, draw_patches

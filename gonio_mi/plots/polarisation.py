@@ -130,15 +130,19 @@ def plot_stokes(
     """
     single, vector = chosen(record, index), checked_stokes(stokes)
     shown = received(single)
-    figure = new_figure(path, figsize=(12, 3.7 * len(shown) + 3.8))
+    figure = new_figure(path, figsize=(12, 4 * len(shown) + 3.8))
     heights = (1.05 * len(shown), 1)
     above, below = figure.subfigures(2, 1, height_ratios=heights)
-    rows = above.subplots(len(shown), 4, squeeze=False)
     from .polar_map import add_legend
 
-    for of, axes in zip(shown, rows):
-        _draw_state(above, axes, single, of, vector)
-    add_legend(above, rows.ravel(), loc="outside upper right")
+    maps: list[Any] = []
+    blocks = above.subfigures(len(shown), 1, squeeze=False)[:, 0]
+    for of, block in zip(shown, blocks):
+        axes = block.subplots(1, 4)
+        _draw_state(block, axes, single, of, vector)
+        block.suptitle(NAMES[of], size="medium", x=0.02, ha="left")
+        maps += [*axes]
+    add_legend(above, maps, loc="outside upper right")
     powers, degrees = below.subplots(1, 2)
     _draw_s_and_p(powers, single, shown)
     _draw_degree(degrees, single, shown, vector)
@@ -199,7 +203,6 @@ def _draw_state(
             ticks = np.linspace(scale.vmin, scale.vmax, 5)
             where |= {"ticks": ticks, "format": "%.2g"}
         colour_bar(figure, mesh, None, label, **where)
-    axes[0].set_title(NAMES[of], fontsize="medium", loc="left")
 
 
 def _draw_s_and_p(axes: Any, single: Record, shown: Sequence[str]) -> None:

@@ -107,6 +107,15 @@ def test_marks_at_the_horizon_are_within_a_sheet():
             assert figure.bbox.y0 + radius < y < figure.bbox.y1 - radius
 
 
+@pytest.mark.parametrize(("n", "rows"), [(6, [6]), (7, [4, 3]), (13, [5, 5, 3])])
+def test_rows_of_a_sheet_are_balanced(n, rows):
+    """Exact: as few rows of up to six as hold all, and as narrow as these may be."""
+    figure = sheet(stack(n))
+    figure.draw_without_rendering()
+    heights = [round(mesh.axes.get_position().y0, 6) for mesh in meshes(figure)]
+    assert [heights.count(y) for y in dict.fromkeys(heights)] == rows
+
+
 def test_large_sheet_is_thinned_and_says_so():
     figure = sheet(stack(MAX_MAPS + 5))
     assert len(meshes(figure)) == MAX_MAPS

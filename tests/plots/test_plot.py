@@ -239,6 +239,18 @@ def test_title_says_what_was_measured():
         assert words in title.replace("\N{NO-BREAK SPACE}", " ")
 
 
+def test_the_title_says_once_that_it_has_means():
+    """And its last line may be broken between items only; of one channel none are."""
+    record = synthetic.record(channels=("R", "G", "B"), both=True)
+    last = plot(record).get_suptitle().split("\n")[3]
+    assert last.startswith(
+        "means of 3 channels: dhr ".replace(" ", "\N{NO-BREAK SPACE}")
+    )
+    assert last.count("channels") == 1
+    assert all(item.endswith(",") for item in last.split(" ")[:-1])
+    assert "channels" not in plot(synthetic.record()).get_suptitle()
+
+
 def test_no_title_is_wider_than_its_figure():
     """Twin: as it was, of a name that is longer than its figure is wide."""
     record = synthetic.record().with_settings(specimen="W" * 79, period="1.0,1.0")
@@ -275,7 +287,7 @@ def test_borders_of_patches_are_told(theta_i, phi_i, on_border, sectors):
 
 def test_integrals_are_drawn_without_their_rounding():
     figure = plot(synthetic.integrals().with_settings(sampler="sobol"))
-    title = figure.get_suptitle()
+    title = figure.get_suptitle().replace("\N{NO-BREAK SPACE}", " ")
     assert "integrals, quadrature estimator" in title
     assert "std_err" not in title
     assert title.endswith("(± largest error)")

@@ -1,6 +1,7 @@
 """Mueller matrices measured in polarised variants, against closed forms in NumPy."""
 
 import re
+from itertools import combinations
 
 import mitsuba as mi
 import mueller
@@ -297,6 +298,26 @@ def test_a_record_is_all_there(tmp_path):
         gonio.campaign({"metal": ROUGH}, tolerance=0.1)
 
 
+def test_no_word_of_a_picture_of_polarisation_is_on_another(tmp_path):
+    """Of reflection and transmission: headings, and the names of colour bars."""
+    pytest.importorskip("matplotlib")
+    from matplotlib.text import Text
+
+    from gonio_mi.plots import plot_stokes
+
+    glass = {"type": "dielectric"}
+    figure = plot_stokes(gonio.measure(glass, 56, rays=2**10), tmp_path / "a.png")
+    named = "Reflection", "Transmission", "BRDF (1/sr)", "BTDF (1/sr)"
+    places = {
+        word.get_text(): word.get_window_extent()
+        for word in figure.findobj(Text)
+        if word.get_text() in named
+    }
+    assert set(places) == set(named)
+    pairs = combinations(places.values(), 2)
+    assert not any(one.overlaps(other) for one, other in pairs)
+
+
 def test_pictures_and_numbers_show_the_matrices(tmp_path, capsys):
     pytest.importorskip("matplotlib")
     from gonio_mi.plots import plot_mueller, plot_stokes
@@ -311,12 +332,12 @@ def test_pictures_and_numbers_show_the_matrices(tmp_path, capsys):
     due = np.divide(m[..., 2, 3], m[..., 0, 0], where=lit, out=np.zeros(lit.shape))
     assert np.allclose(drawn[:, :: drawn.shape[1] // 8][lit], due[lit], atol=1e-12)
     figure = plot_stokes(record, stokes=[1, 0, 0, 1])
-    circular = figure.subfigs[0].axes[3].collections[0].get_array()
+    circular = figure.subfigs[0].subfigs[0].axes[3].collections[0].get_array()
     due = (m[..., 3, 0] + m[..., 3, 3]) / np.where(lit, m[..., 0, 0] + m[..., 0, 3], 1)
     assert np.allclose(circular[:, :: drawn.shape[1] // 8][lit], due[lit], atol=1e-12)
     due = np.hypot(np.hypot(m[..., 1, 0], m[..., 2, 0]), m[..., 3, 0])[lit]
     figure = plot_stokes(record)
-    drawn = figure.subfigs[0].axes[1].collections[0]
+    drawn = figure.subfigs[0].subfigs[0].axes[1].collections[0]
     degrees = due / m[..., 0, 0][lit]
     assert drawn.norm.vmax == pytest.approx(degrees.max(), rel=1e-12)
     said = drawn.colorbar.ax.get_xlabel()
