@@ -72,7 +72,7 @@ def add_surface_options(parser: ArgumentParser) -> None:
         "--bsdf",
         "BSDF",
         "BSDF of the surface in one word, such as conductor:material=Al. Default: a "
-        "perfect mirror; a mesh has no default.",
+        "mirror for a height map, diffuse for heightfield:..., none for a mesh.",
     )
     group.add_argument(
         "--normal",
@@ -132,13 +132,13 @@ def _add_height_map(group: Group) -> None:
 def prepared_surface(specimen: SpecimenLike, options: Namespace) -> Any:
     """The specimen, or the shape of a height map or a mesh with what is given.
 
-    A surface of heights is finite, unless a period joins its last row and column to the
-    first.
+    The surface of a height map is finite, unless a period joins its last row and column
+    to the first. In one word, ``heightfield:alpha=0.2``, it is as the plugin has it.
 
     Raises
     ------
     ValueError
-        If something is given, and it is no such file.
+        If something is given, and it is no such surface, or the word has it too.
     """
     given = given_options(options, HEIGHT_MAP)
     bsdf = None if options.bsdf is None else parse_specimen(options.bsdf)
@@ -152,13 +152,26 @@ def prepared_surface(specimen: SpecimenLike, options: Namespace) -> Any:
             return specimen  # which is refused in the words of all commands
         return mesh(specimen, bsdf, **of_mesh)
     for name in of_mesh:
-        raise SettingError(f"{option_of(name)} applies to meshes, got {specimen!r}")
+        raise SettingError(
+            f"{option_of(name)} applies to meshes, got {options.specimen}"
+        )
     if isinstance(specimen, str) and is_height_map(specimen):
         period = getattr(options, "period", None)
         return surface_specimen(specimen, bsdf, period, **given)
-    for name in [*given, *(["bsdf"] if bsdf is not None else [])]:
+    if bsdf is not None:
+        given["bsdf"] = bsdf
+    if isinstance(specimen, dict) and specimen["type"] == "heightfield":
+        for name in given.keys() & specimen.keys():
+            raise SettingError(
+                f"{option_of(name)} must not be given twice, got {options.specimen}"
+            )
+        return specimen | given
+    for name in given:
+        surfaces = (
+            "height maps and meshes" if name in ("bsdf", "unit") else "height maps"
+        )
         raise SettingError(
-            f"{option_of(name)} applies to height maps, got {specimen!r}"
+            f"{option_of(name)} applies to {surfaces}, got {options.specimen}"
         )
     return specimen
 
@@ -174,6 +187,8 @@ def run(options: Namespace) -> int:
     if options.output is not None:
         check_picture(options.output)
     name, parameters = specimen_of(options.specimen, options)
+    if options.bsdf is None and isinstance(name, str) and is_mesh(name):
+        options.bsdf = "diffuse"  # facets are what they are of any material
     specimen = prepared_surface(name, options)
     joined, said = True, []
     if isinstance(name, str) and is_height_map(name):

@@ -480,7 +480,26 @@ def test_text_is_told_from_heights_by_its_ending(tmp_path):
 
 def test_options_go_with_a_file_of_heights(capfd):
     assert main(["measure", "diffuse", "--theta-i", "0", "--form", "plane"]) == 1
-    assert "--form applies to height maps, got" in capfd.readouterr().err
+    assert "--form applies to height maps, got diffuse\n" in capfd.readouterr().err
+    assert main(["measure", "diffuse", "--theta-i", "0", "--bsdf", "diffuse"]) == 1
+    said = capfd.readouterr().err
+    assert "--bsdf applies to height maps and meshes, got diffuse\n" in said
+
+
+def test_options_go_with_a_surface_in_one_word(tmp_path, capfd):
+    """The record has the mirror, and the width; of nothing said the facets are matt."""
+    word, path = "heightfield:alpha=0.2,resolution=16", str(tmp_path / "a.npz")
+    command = ["measure", word, "--theta-i", "0", "--rays", "64", "-o", path]
+    assert main([*command, "--bsdf", "conductor", "--size", "3"]) == 0
+    surface = gonio.load(path).provenance.surface
+    assert "with SmoothConductor" in surface
+    assert "correlation_length 0.75" in surface
+    assert main(command) == 0
+    assert "with SmoothDiffuse" in gonio.load(path).provenance.surface
+    capfd.readouterr()
+    command[1] += ",size=2"
+    assert main([*command, "--size", "3"]) == 1
+    assert f"--size must not be given twice, got {command[1]}" in capfd.readouterr().err
 
 
 def test_reader_says_what_is_wrong():

@@ -180,6 +180,16 @@ def test_the_command_line_measures_a_mesh(tmp_path, monkeypatch, capsys):
         assert error.count("\n") == 1
 
 
+def test_facets_of_a_mesh_need_no_material(tmp_path, capsys):
+    (tmp_path / "slat.obj").write_bytes(obj(CORNERS))
+    command = ["surface", str(tmp_path / "slat.obj"), "--normal", "y"]
+    assert cli.main(command) == 0
+    facets = capsys.readouterr().out
+    assert facets.startswith("facets  ")
+    assert cli.main([*command, "--bsdf", "dielectric"]) == 0
+    assert capsys.readouterr().out == facets
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -151,7 +151,9 @@ def heightfield(props: mi.Properties) -> mi.Mesh:
 
      * - (Nested plugin)
        - :paramtype:`bsdf`
-       - What the facets are made of.
+       - What the facets are made of. (Default: ``diffuse``, as of every shape of
+         Mitsuba's; a file that is itself the specimen, as in ``gonio-mi measure
+         scan.x3p``, is measured as a mirror)
     """
     name, ready = _topography(props)
     for concern in ready.concerns():
