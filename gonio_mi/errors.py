@@ -263,11 +263,16 @@ def warn(message: str, category: type[Warning] = RuntimeWarning) -> None:
 
 
 def checked_count(
-    name: str, value: Any, minimum: int = 1, maximum: int | None = None
+    name: str,
+    value: Any,
+    minimum: int = 1,
+    maximum: int | None = None,
+    reason: str = "",
 ) -> int:
     """Return `value` as an int, or say which of `name`'s conditions it violates.
 
-    Whole floats such as ``1e6`` are accepted; booleans, fractions, NaN are not.
+    Whole floats such as ``1e6`` are accepted; booleans, fractions, NaN are not. The
+    message has the `reason` of the minimum, if one is given.
     """
     try:
         if isinstance(value, bool):
@@ -282,7 +287,8 @@ def checked_count(
             f"{name} must be a whole number, got {shown(value)}"
         ) from None
     if number < minimum:
-        raise SettingError(f"{name} must be at least {minimum}, got {shown(value)}")
+        least = f"{minimum}, {reason}" if reason else str(minimum)
+        raise SettingError(f"{name} must be at least {least}, got {shown(value)}")
     if maximum is not None and number > maximum:
         raise SettingError(f"{name} must be at most {maximum:.3g}, got {shown(value)}")
     return number

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..collector import Subdivision
-from ..errors import SettingError, SpecimenError, abridged, warn
+from ..errors import LABEL, SettingError, SpecimenError, abridged, warn
 from ..formats.scatter import PatchMeans
 from ..instrument.specimen_text import SpecimenLike
 from ..interpolation.lobes import check_table, is_significant
@@ -234,8 +234,8 @@ class KnownDirections:
         if error.error - N_STD_ERRS_REFUSED * error.std_err > self.tolerance:
             totals = [f"{one.flux_fraction.sum():.3g}" for one in (record, integral)]
             raise SpecimenError(
-                f"sample() and eval() of {self.name:.60} disagree: at theta_i "
-                f"{incident[0]:.3g}, {totals[0]} of the flux leaves by one and "
+                f"sample() and eval() of {abridged(self.name, LABEL)} disagree: at "
+                f"theta_i {incident[0]:.3g}, {totals[0]} of the flux leaves by one and "
                 f"{totals[1]} by the other, in part elsewhere; gonio-mi validate tells "
                 f"which is wrong, and an estimator (weighted or {self.estimators[0]}) "
                 "says which to take"

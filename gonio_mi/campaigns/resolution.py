@@ -10,7 +10,7 @@ import numpy as np
 
 from ..array_types import Floats
 from ..collector import EqualAngle, RingsAndSectors, Subdivision
-from ..errors import SettingError, SpecimenError
+from ..errors import LABEL, SettingError, SpecimenError, abridged
 from ..results.prediction_error import prediction_error
 from ..results.record import Record
 from .known_directions import KnownDirections
@@ -91,7 +91,7 @@ def check_resolved(
     if delta > tolerance:
         raise _delta_error(delta, first, max(angles))
     finding = (
-        f"the lobes of {first.provenance.name:.60} are too narrow for "
+        f"the lobes of {abridged(first.provenance.name, LABEL)} are too narrow for "
         f"{own!s:.40}: moved by half a patch, {max(lost_at_first):.2g} of the flux "
         f"would be in other patches at an angle up to {max(angles):.3g}"
     )
@@ -158,8 +158,8 @@ def _delta_error(fraction: float, record: Record, theta_i: float) -> SpecimenErr
     window = "make a window file of it (gonio-mi bsdf)"
     other = window if record.has_lower and np.any(record.dht) else "take a rough BSDF"
     return SpecimenError(
-        f"{fraction:.2g} of the flux of {record.provenance.name:.60} leaves in "
-        "delta lobes (mirror images, or straight on) at an angle up to "
+        f"{fraction:.2g} of the flux of {abridged(record.provenance.name, LABEL)} "
+        "leaves in delta lobes (mirror images, or straight on) at an angle up to "
         f"{theta_i:.3g}, and no patches tell where these are between directions: "
         f"{INSTEAD}, or {other}"
     )

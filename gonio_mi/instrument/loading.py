@@ -72,7 +72,8 @@ FRAMES = re.compile(
     r'|(At|While loading) dictionary node "root": '
     r'|failed to instantiate unknown plugin of type "[^"]*": \[PluginManager\] '
     r'|(At dictionary node "\w+": )?failed to instantiate \w+ plugin of type '
-    r'"(goniometric|goniophotometer|collector|patches|heightfield)": \w+: '
+    r'"(anisotropicphong|collector|cosinelobe|glossymixture|goniometric|'
+    r'goniophotometer|heightfield|patches|sobol|stl)": \w+: '
 )
 
 # What a map of heights is made of, unless it is said: every facet reflects all light,

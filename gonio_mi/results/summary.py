@@ -32,8 +32,8 @@ PASSED = {
 # What `missed` rays ask for.
 MISSED = (
     "missed the specimen; they are not part of the incident flux: if it stands for a "
-    "larger surface with openings, give a period, which counts them as transmitted; if "
-    "these are its edges, take a smaller footprint"
+    "larger surface with openings, give a period (--period box), which counts them as "
+    "transmitted; if these are its edges, take a smaller footprint (--footprint)"
 )
 
 

@@ -161,7 +161,7 @@ class MeasurementSettings:
     )
     max_rays: int = setting(
         10**9,
-        count(PILOT_RAYS, MAX_RAYS),
+        count(PILOT_RAYS, MAX_RAYS, "the rays that show what precision needs"),
         Kind.COUNT,
         "Upper limit of rays for `rel_err` and `noise`; warns if reached.",
         group=METHOD,

@@ -63,9 +63,9 @@ Period = str | tuple[float, float]
 WORST_WAVELENGTHS = 100.0, 10000.0
 
 
-def count(minimum: int = 1, maximum: int | None = None) -> Any:
-    """Check of a whole number from `minimum` to `maximum`."""
-    return lambda label, value: checked_count(label, value, minimum, maximum)
+def count(minimum: int = 1, maximum: int | None = None, reason: str = "") -> Any:
+    """Check of a whole number from `minimum`, which has a `reason`, to `maximum`."""
+    return lambda label, value: checked_count(label, value, minimum, maximum, reason)
 
 
 def number(low: float, high: float, condition: str) -> Any:

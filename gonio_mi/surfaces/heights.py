@@ -39,7 +39,8 @@ class HeightStatistics:
         Roughness along x and y as Beckmann's distribution has it: sqrt(2) times the rms
         slope of the facets, weighted by projected area.
     correlation_length_u, correlation_length_v : float
-        Distance along x and y at which the autocorrelation has fallen to 1/e.
+        Distance along x and y at which the autocorrelation has fallen to 1/e; NaN if it
+        does nowhere up to half the extent.
     """
 
     rms_height: float
@@ -48,13 +49,19 @@ class HeightStatistics:
     correlation_length_u: float
     correlation_length_v: float
 
+    @property
+    def correlation_lengths(self) -> str:
+        """Both correlation lengths in words; empty if there is none."""
+        lengths = self.correlation_length_u, self.correlation_length_v
+        if np.isnan(lengths).all():
+            return ""
+        return " x ".join("none" if np.isnan(x) else f"{x:.4g}" for x in lengths)
+
     def __str__(self) -> str:
-        return (
-            f"rms height {self.rms_height:.4g}, "
-            f"alpha {self.alpha_u:.4g} x {self.alpha_v:.4g}, "
-            f"correlation length {self.correlation_length_u:.4g} x "
-            f"{self.correlation_length_v:.4g}"
-        )
+        text = f"rms height {self.rms_height:.4g}, "
+        text += f"alpha {self.alpha_u:.4g} x {self.alpha_v:.4g}"
+        lengths = self.correlation_lengths
+        return f"{text}, correlation length {lengths}" if lengths else text
 
 
 def gaussian_heights(
@@ -290,7 +297,7 @@ def filled(heights: Floats, method: str) -> Floats:
     if method == "none":
         raise SettingError(
             f"heights must be known everywhere, but {n} of {missing.size} points were "
-            "not measured: take the fill nearest or linear"
+            "not measured: fill them, such as by fill=nearest or --fill nearest"
         )
     heights = heights.copy()
     rows, columns = _nearest(missing)

@@ -297,10 +297,14 @@ class MicroNormals:
             "G1: visible part of the facets that look there; G2: also from the mirror "
             "direction"
         )
+        if np.isnan([self.masking, self.shadowing]).any():
+            lines.append("-: there is no such facet")
         return "\n".join(lines)
 
 
 def _pair(value: float, error: float) -> str:
+    if np.isnan(value):
+        return "-"
     return f"{value:.4g} +- {error:.2g}"
 
 

@@ -116,10 +116,12 @@ class Topography:
         s, heights = self.statistics, self.heights
         unit = "scene units" if self.unit is None else self.unit
         centred = heights - heights.mean()
-        skewness, kurtosis = (
-            float(np.mean(centred**n)) / s.rms_height**n if s.rms_height else math.nan
-            for n in (3, 4)
-        )
+        shape = ": the map is flat"
+        if s.rms_height:
+            skewness, kurtosis = (
+                float(np.mean(centred**n)) / s.rms_height**n for n in (3, 4)
+            )
+            shape = f", skewness {skewness:.3g}, kurtosis {kurtosis:.3g}"
         (n_y, n_x), (x, y), (dx, dy) = heights.shape, self.extent, self.spacing
         joined = "joined at its borders" if self.periodic else "not joined"
         lines = [
@@ -129,19 +131,16 @@ class Topography:
             (
                 "heights",
                 f"{heights.min():.4g} to {heights.max():.4g} {unit}, rms "
-                f"{s.rms_height:.4g}, skewness {skewness:.3g}, kurtosis {kurtosis:.3g}",
+                f"{s.rms_height:.4g}{shape}",
             ),
             (
                 "slopes",
                 f"rms {_rms_slopes(s)} degrees, alpha {s.alpha_u:.4g} x "
                 f"{s.alpha_v:.4g}",
             ),
-            (
-                "lengths",
-                f"autocorrelation 1/e after {s.correlation_length_u:.4g} x "
-                f"{s.correlation_length_v:.4g} {unit}",
-            ),
         ]
+        if lengths := s.correlation_lengths:
+            lines.append(("lengths", f"autocorrelation 1/e after {lengths} {unit}"))
         return "\n".join(f"{name:<10}{text}" for name, text in lines)
 
     def concerns(self) -> list[str]:
@@ -152,7 +151,7 @@ class Topography:
             found.append(
                 f"the width of {self.source} is not known, and {self._width} was "
                 f"taken, which makes its rms slopes {_rms_slopes(s)} degrees: give "
-                "size, in the unit of the heights"
+                "size (--size), in the unit of the heights"
             )
         steepest = max(s.alpha_u, s.alpha_v)
         if steepest > MAX_ALPHA:
@@ -301,8 +300,8 @@ class Preparation:
         if given.codes is None:
             if height_range is not None:
                 raise SettingError(
-                    "range goes with images of whole numbers; for the heights of "
-                    f"{given.source} take scale"
+                    "range (--range) goes with images of whole numbers; for the "
+                    f"heights of {given.source} take scale (--scale)"
                 )
             return 1.0 if scale is None else scale
         if (scale is None) == (height_range is None):
@@ -310,8 +309,8 @@ class Preparation:
             raise SettingError(
                 f"the pixels of {given.source} are whole numbers from {low:.0f} to "
                 f"{high:.0f}, and one of two must be given to make them heights: "
-                "scale, the height of a step of 1, or range, that of all "
-                f"{given.codes}"
+                "scale (--scale), the height of a step of 1, or range (--range), that "
+                f"of all {given.codes}"
             )
         return scale if height_range is None else height_range / given.codes  # type: ignore[return-value]
 
@@ -321,7 +320,7 @@ class Preparation:
         if not (1 / MAX_LENGTH < dx < MAX_LENGTH and 1 / MAX_LENGTH < dy < MAX_LENGTH):
             raise SettingError(
                 f"the spacing of grid points must be positive, {given.source} has "
-                f"{dx:g} x {dy:g}: give size"
+                f"{dx:g} x {dy:g}: give size (--size)"
             )
         if self.size is not None:
             dx, dy = self.size / cells[0], self.size / cells[0] * (dy / dx)
@@ -336,8 +335,8 @@ class Preparation:
         metres(self.unit)
         if given.unit is not None:
             raise SettingError(
-                f"unit goes with files that do not state theirs; {given.source} is in "
-                f"{given.unit}, got {self.unit}"
+                "unit (--unit) goes with files that do not state theirs; "
+                f"{given.source} is in {given.unit}, got {self.unit}"
             )
         return self.unit
 

@@ -18,7 +18,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..array_types import Floats
-from ..errors import SpecimenError
+from ..errors import LABEL, SpecimenError, abridged
 from ..mitsuba_names import PARTIALS
 from ..results.statistics import student_score
 from ..results.tally import Fate, Tally
@@ -360,8 +360,8 @@ class SurfacePoints:
         dr.eval(total, sound)
         if not dr.all(sound):
             raise SpecimenError(
-                f"eval() of {self.specimen.name:.60} returned a negative, infinite or "
-                "NaN value: take weighted instead of split"
+                f"eval() of {abridged(self.specimen.name, LABEL)} returned a negative, "
+                "infinite or NaN value: take weighted instead of split"
             )
         light = np.stack([one.numpy() for one in total], axis=-1)
         return light.astype(float).reshape(self.n_batches, m, self.n_patches, -1)

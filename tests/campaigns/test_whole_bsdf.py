@@ -793,6 +793,12 @@ def test_deltas_are_told_at_once(looked):
     with pytest.raises(gonio.SpecimenError, match=r"^0.67 of the flux .* delta"):
         gonio.campaign({"mask": mask}, tolerance=0.05)
     assert {collector for collector, _ in looked} == {"None"}
+    # a long name is cut after a parameter
+    grey = {"specular_reflectance": 0.5, "specular_transmittance": 0.25}
+    glass = {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0, **grey}
+    short = r"flux of dielectric:int_ior=1.5,ext_ior=1.0, \.\.\. leaves in delta"
+    with pytest.raises(gonio.SpecimenError, match=short):
+        gonio.campaign({"glass": glass}, tolerance=0.05)
 
 
 @pytest.mark.usefixtures("mono")

@@ -319,6 +319,21 @@ def test_a_plane_is_flat():
     assert plane.model_density("ggx")[0] == pytest.approx(plane.density[0], rel=1e-3)
 
 
+def test_what_no_facet_sees_is_no_number():
+    """No wall of 65 degrees is seen from 60 degrees and from the mirror direction.
+
+    Twin: those of 20 degrees are.
+    """
+    for slope, named in ((65, True), (20, False)):
+        heights = np.tile(
+            np.tan(np.radians(slope)) * np.abs(np.arange(8) - 4.0), (8, 1)
+        )
+        tent = {"type": "heightfield", "heights": mi.TensorXf(heights), "size": 8.0}
+        said = str(gonio.micro_normals(tent, points=1000, theta=(60,), phi=(0,)))
+        assert ("  -  " in said) == said.endswith("-: there is no such facet") == named
+        assert "nan" not in said
+
+
 @pytest.mark.parametrize("alphas", [(0.3, 0.3), (0.5, 0.1)])
 @pytest.mark.parametrize("name", smith.DISTRIBUTIONS)
 def test_shares_of_rings_are_the_density(name, alphas):

@@ -12,7 +12,7 @@ from gonio_mi.cli import main
 from gonio_mi.errors import FileFormatError, SpecimenError
 from gonio_mi.formats import height_map_reader, height_maps
 from gonio_mi.formats.height_maps import HeightMap
-from gonio_mi.surfaces.heights import filled, without_form
+from gonio_mi.surfaces.heights import filled, gaussian_heights, without_form
 from gonio_mi.surfaces.images import image_heights
 from gonio_mi.surfaces.topography import Preparation, topography
 
@@ -149,13 +149,13 @@ def test_codes_of_an_image_need_a_scale(png):
     path, codes = png
     with pytest.raises(SpecimenError, match=r"whole numbers from \d+ to .* be given"):
         measured(filename=str(path))
-    with pytest.raises(SpecimenError, match="one of two must be given"):
+    with pytest.raises(SpecimenError, match=r"must be given .* range \(--range\)"):
         measured(filename=str(path), scale=1.0, range=2.0)
     expected = measured(heights=mi.TensorXf(codes * 2.0**-20))
     assert measured(filename=str(path), scale=2.0**-20) == expected
     assert measured(filename=str(path), range=65535 * 2.0**-20) == expected
     assert measured(filename=str(path), range=65535 * 2.0**-19) != expected
-    with pytest.raises(SpecimenError, match="range goes with images of whole numbers"):
+    with pytest.raises(SpecimenError, match="goes with images of whole numbers"):
         measured(heights=mi.TensorXf(codes * 1.0), range=1.0)
 
 
@@ -231,7 +231,7 @@ def test_gaps_are_filled():
     # a gap at the border lies beyond all triangles
     holes[:3] = np.nan
     assert np.array_equal(filled(holes, "linear")[0, :4], z[3, :4])
-    with pytest.raises(ValueError, match=r"but 81 of 600 points .* take the fill"):
+    with pytest.raises(ValueError, match=r"but 81 of 600 points .* --fill nearest"):
         filled(holes, "none")
 
 
@@ -476,6 +476,22 @@ def test_text_is_told_from_heights_by_its_ending(tmp_path):
     np.savetxt(tmp_path / "a.txt", np.eye(8))
     with pytest.raises(SpecimenError, match=r"heights in text are known by .* \.asc"):
         gonio.measure(tmp_path / "a.txt", 0)
+
+
+def test_a_flat_map_is_called_flat():
+    """Nothing of it is a number that is none; twins: grooves, and a random surface."""
+    flat = topography(HeightMap(np.zeros((9, 9)), "flat.npy"))
+    assert "rms 0: the map is flat\n" in flat.summary()
+    assert "nan" not in f"{flat.summary()} {flat.described}"
+    assert "lengths" not in flat.summary()
+    grooves = np.tile(np.sin(np.arange(32) * np.pi / 4), (32, 1))
+    lines = topography(HeightMap(grooves, "grooves.npy"))
+    assert " x none scene units" in lines.summary()
+    assert " x none" in lines.described
+    rough = gaussian_heights((32, 32), 1.0, (0.2, 0.2), 4.0)
+    said = topography(HeightMap(rough, "rough.npy")).summary()
+    assert "flat" not in said
+    assert "none" not in said
 
 
 def test_options_go_with_a_file_of_heights(capfd):

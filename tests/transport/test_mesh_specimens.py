@@ -180,6 +180,14 @@ def test_the_command_line_measures_a_mesh(tmp_path, monkeypatch, capsys):
         assert error.count("\n") == 1
 
 
+def test_a_damaged_mesh_is_told_by_its_reason_alone(tmp_path):
+    path = tmp_path / "slat.stl"
+    path.write_text("solid nothing")
+    reason = rf"^the mesh {path} cannot be loaded: cannot load {path}: it holds no"
+    with pytest.raises(gonio.SpecimenError, match=reason):
+        gonio.mesh(path, MATT)
+
+
 def test_facets_of_a_mesh_need_no_material(tmp_path, capsys):
     (tmp_path / "slat.obj").write_bytes(obj(CORNERS))
     command = ["surface", str(tmp_path / "slat.obj"), "--normal", "y"]

@@ -375,10 +375,10 @@ def test_plot_says_order_and_period():
     plot = pytest.importorskip("gonio_mi.plots").plot
     record = measured(*SPECIMENS["grid"], rays=10_000)
     title = plot(record)._suptitle.get_text()
-    assert "period 1.0,1.0" in title
+    assert "period\N{NO-BREAK SPACE}1.0,1.0" in title
     assert "direct\N{NO-BREAK SPACE}0." in title
     order = measured(*SPECIMENS["grid"], rays=10_000, order="2+")
-    assert "order 2+" in plot(order)._suptitle.get_text()
+    assert "order\N{NO-BREAK SPACE}2+" in plot(order)._suptitle.get_text()
 
 
 @pytest.mark.parametrize("ending", ["npz", "exr"])
