@@ -15,6 +15,8 @@ from ..errors import SettingError
 from ..exports.bsdf_file import RAYS, bsdf, hemispherical
 from ..exports.daylight import VISIBLE_NM, luminous
 from ..files import check_output
+from ..formats.height_maps import is_height_map
+from ..formats.meshes import is_mesh
 from ..formats.radiance import BASES, BLOCKS, Product
 from ..instrument.loading import load_specimen
 from ..instrument.specimen_text import parse_specimen
@@ -149,6 +151,9 @@ def run(options: Namespace) -> int:
             basis += f" as at {channels[0]}"
         if "solar front" not in records:
             basis += ", no block Solar"
+        of_file = is_mesh(options.specimen) or is_height_map(options.specimen)
+        if of_file and sizes["thickness"] is None:
+            basis += ", no Thickness (give --thickness, or --unit if the file has none)"
         tell(
             f"{options.output}: {basis}, {rays:.3g} rays, {seconds:.0f} s; +- is one "
             f"standard error\nblocks: {BLOCKS}"

@@ -166,7 +166,14 @@ def test_the_command_line_measures_a_mesh(tmp_path, monkeypatch, capsys):
     text = (tmp_path / "slat.xml").read_text()
     (thickness,) = re.findall('<Thickness unit="meter">(.*)</Thickness>', text)
     assert abs(float(thickness) - 2 * HALF[1] / 1000) <= 1e-8
-    capsys.readouterr()
+    assert "Thickness" not in capsys.readouterr().out
+    unknown = [word for word in words if word not in ("--unit", "mm")]
+    assert cli.main(["bsdf", *unknown, "--basis", "klems-quarter"]) == 0
+    assert "<Thickness" not in (tmp_path / "slat.xml").read_text()
+    assert (
+        "no Thickness (give --thickness, or --unit if the file has none)"
+        in capsys.readouterr().out
+    )
     for words, message in (
         (["slat.obj"], "must come with what it is made of, such as --bsdf"),
         (["slat.obj", "--bsdf", "slat.obj"], "--bsdf must be a BSDF in one word"),
