@@ -237,6 +237,8 @@ class Evidence:
         By property, the guilty function and mistake of a test that tells them.
     sweeps : list of Samples
         Of many incident directions, one for each sample.
+    in_radiance_mode : list of Samples
+        Of conditions under which it is not importance mode over eta^2.
     """
 
     bsdf: mi.BSDF = None
@@ -252,6 +254,7 @@ class Evidence:
     samples: list[Samples] = field(default_factory=list)
     suspects: dict[str, tuple[str, str]] = field(default_factory=dict)
     sweeps: list[Samples] = field(default_factory=list)
+    in_radiance_mode: list[Samples] = field(default_factory=list)
 
     @property
     def whole(self) -> list[Samples]:

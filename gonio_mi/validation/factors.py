@@ -131,7 +131,7 @@ def ratios_of(evidence: Evidence, guilty: str) -> list[Ratio]:
     """Ratios of a row of `BETWEEN`, for the samples of each condition."""
     (above, below), _, _ = BETWEEN[guilty]
     ratios = []
-    for samples in (*evidence.whole, *evidence.sweeps):
+    for samples in (*evidence.whole, *evidence.sweeps, *evidence.in_radiance_mode):
         ok = samples.smooth & (samples.pdf > 0) & np.isfinite(samples.pdf)
         ok &= np.isfinite(samples.sampled_pdf) & (np.abs(samples.wo[:, 2]) > 1e-4)
         over, under = (

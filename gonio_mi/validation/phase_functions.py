@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import drjit as dr
@@ -147,7 +148,9 @@ def _excuse(evidence: Evidence) -> None:
 def _check_maps(
     evidence: Evidence, plan: Effort, conditions: tuple[Condition, ...]
 ) -> None:
-    """Statistics of samples by patch."""
+    """Statistics of samples by patch, in both modes if they differ."""
+    if evidence.in_radiance_mode:
+        conditions += tuple(replace(one, mode="radiance") for one in conditions)
     for i, condition in enumerate(conditions):
         key = (evidence.seed, 2, i)
         maps = four_maps(evidence.bsdf, condition, plan.patches, plan.samples, key)

@@ -204,6 +204,81 @@ def test_a_mode_without_its_power_of_eta_is_named(divided):
         assert found.mistake == "`eval` lacks 1/eta^2 in radiance mode"
 
 
+class Moody(Matte):
+    """Matte; beyond 60 degrees, in radiance mode, `wrong` functions are times 1.5."""
+
+    wrong = ()
+
+    def factor(self, ctx, si, name):
+        own = name in self.wrong and ctx.mode == mi.TransportMode.Radiance
+        return dr.select(own & (si.wi.z < 0.5), 1.5, 1.0)
+
+    def sample(self, ctx, si, sample1, sample2, active):
+        bs, weight = Matte.sample(self, ctx, si, sample1, sample2, active)
+        bs.pdf = Matte.pdf(self, ctx, si, mi.Vector3f(bs.wo), active)
+        return bs, weight * self.factor(ctx, si, "weight")
+
+    def eval(self, ctx, si, wo, active):
+        value = Matte.eval(self, ctx, si, wo, active)
+        return value * self.factor(ctx, si, "eval")
+
+    def pdf(self, ctx, si, wo, active):
+        return Matte.pdf(self, ctx, si, wo, active) * self.factor(ctx, si, "pdf")
+
+    def eval_pdf(self, ctx, si, wo, active):
+        return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "names"),
+    [
+        (("weight",), ("sampled_weight",)),
+        (("pdf",), ("sampled_pdf",)),
+        (("eval", "weight"), ("adjoint",)),
+    ],
+)
+def test_radiance_mode_is_asked_at_all_angles(wrong, names):
+    """Not only where maps are; the right one is the twin, of which nothing is found."""
+    assert verdict(Moody).passed
+    judged = verdict(Moody, wrong=wrong)
+    for name in names:
+        assert judged[name].effect == "biases images"
+
+
+@pytest.mark.parametrize("of_weight", [1.0, 1.2])
+def test_phase_functions_are_asked_in_radiance_mode(of_weight):
+    """As `volpath` asks them; where both functions are off, integrals tell."""
+
+    class Bright(mi.PhaseFunction):
+        def __init__(self, props):
+            mi.PhaseFunction.__init__(self, props)
+            self.m_flags = mi.PhaseFunctionFlags.Isotropic
+            self.m_components = [self.m_flags]
+            self.factor = props.get("factor", 1.2)
+
+        def of(self, ctx, factor):
+            return factor if ctx.mode == mi.TransportMode.Radiance else 1.0
+
+        def sample(self, ctx, mei, sample1, sample2, active):  # noqa: ARG002
+            wo = mi.warp.square_to_uniform_sphere(sample2)
+            weight = mi.Spectrum(self.of(ctx, min(of_weight, self.factor)))
+            return wo, weight, mi.Float(dr.inv_four_pi)
+
+        def eval_pdf(self, ctx, mei, wo, active):  # noqa: ARG002
+            value = self.of(ctx, self.factor) * dr.inv_four_pi
+            return mi.Spectrum(value), mi.Float(dr.inv_four_pi)
+
+        def to_string(self):
+            return "Bright[]"
+
+    mi.register_phase("bright_phase", Bright)
+    assert validate({"type": "bright_phase", "factor": 1.0}, effort="quick").passed
+    judged = validate({"type": "bright_phase"}, effort="quick")
+    name = "sampled_weight" if of_weight == 1 else "energy"
+    assert judged[name].status == "fails"
+    assert "radiance mode" in judged[name].statistic
+
+
 # --------------------------------------------------------------------- weights, places
 
 

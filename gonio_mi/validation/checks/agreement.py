@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import mitsuba as mi
+import numpy as np
+
 from ..conditions import Effort, Sweep
 from ..evidence import PHASE, Evidence
-from ..probe import Probe
-from ..samples import Samples, samples_of
+from ..probe import Probe, numbers, spectral
+from ..samples import Samples, is_many, samples_of, unequal
 from . import (
     answers,
     cost,
@@ -22,7 +25,37 @@ from . import (
 
 
 def check_identities(evidence: Evidence, samples: Samples) -> None:
-    """Check that the functions agree about the same directions."""
+    """Check that the functions agree about the same directions, in both modes.
+
+    In radiance mode only if it is not importance mode over eta^2.
+    """
+    _check_identities(evidence, samples)
+    condition = samples.condition
+    if condition.component is None and _depends_on_mode(evidence.bsdf, samples):
+        radiance, key = replace(condition, mode="radiance"), (evidence.seed, 8)
+        other = samples_of(evidence.bsdf, radiance, samples.n, key)
+        evidence.in_radiance_mode.append(other)
+        _check_identities(evidence, other)
+
+
+def _depends_on_mode(bsdf: mi.BSDF, samples: Samples) -> bool:
+    """Whether answers about samples differ between the modes by more than eta^2."""
+    probe = Probe(bsdf, replace(samples.condition, mode="radiance"))
+    bs, weight = probe.sample(*samples.random)
+    n = samples.n
+    light = spectral(weight, n)
+    given = samples.given | (light != 0).any(axis=1)
+    eta2 = np.where(samples.reflected, 1.0, samples.eta**2)[:, None]
+    slack = samples.eval_slack * (1 + eta2)
+    differs = unequal(light * eta2, samples.weight, 0.0)
+    differs |= unequal(spectral(bs.wo, n), samples.wo, 0.0)
+    differs |= unequal(numbers(bs.pdf, n), samples.sampled_pdf, 0.0)
+    differs |= unequal(eta2 * samples.other_mode, samples.eval, slack)
+    differs |= unequal(probe.densities(samples.wo), samples.pdf, samples.pdf_slack)
+    return is_many(differs & given)
+
+
+def _check_identities(evidence: Evidence, samples: Samples) -> None:
     for check in (answers, directions, weights, sampled_pdf, sampled_weight):
         check.check_samples(evidence, samples)
     if evidence.properties is not PHASE:
