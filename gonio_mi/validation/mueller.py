@@ -22,7 +22,14 @@ import numpy as np
 
 from ..array_types import Flags, Floats, Integers, Numbers
 from ..collector.directions import angles, direction
-from ..collector.stokes import UPRIGHT, implicit_axis, plane_axis, reframed, turn
+from ..collector.stokes import (
+    EXCHANGE,
+    UPRIGHT,
+    implicit_axis,
+    plane_axis,
+    reframed,
+    turn,
+)
 from ..single_precision import BSDF_ROUNDING
 from .conditions import Condition
 from .probe import Probe, numbers, random_numbers, spectral, vectors
@@ -114,6 +121,11 @@ class Matrices:
         if self.mode == "importance":
             return -self.wi, self.wo
         return -self.wo, self.wi
+
+    @property
+    def in_mode(self) -> str:
+        """Text that names radiance mode, in which alone something is wrong."""
+        return ", in radiance mode (ctx.mode)" if self.mode == "radiance" else ""
 
     @property
     def light(self) -> Floats:
@@ -342,3 +354,14 @@ def readings(
         "along -wi in importance mode, along -wo in radiance mode (ctx.mode)",
         reframed(raw, out_back, back),
     )
+
+
+def other_mode(matrices: Matrices) -> Iterator[tuple[str, Floats]]:
+    """Yield, of radiance mode, that it is answered as importance mode.
+
+    As :func:`readings`; the matrix is that of light which goes back the same way.
+    """
+    if matrices.mode == "radiance":
+        there = replace(matrices, mode="importance").in_plane()
+        back = EXCHANGE @ np.swapaxes(there, -1, -2) @ EXCHANGE
+        yield "answers as importance mode does", back

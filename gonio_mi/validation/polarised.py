@@ -27,6 +27,7 @@ from .checks import (
 from .conditions import sides_of
 from .evidence import Evidence
 from .mueller import (
+    Lobes,
     Matrices,
     MuellerProbe,
     about,
@@ -140,11 +141,8 @@ class _Examination:
         smooth_too = not evidence.of("realisable")
         asked = lobes.given if smooth_too else lobes.delta
         realisable.check_matrices(evidence, lobes.weights, asked)
+        self._check_agreement(self.importance, lobes, values, slack)
         if smooth.any():
-            pdf = self.importance.pdf(wi, wo)
-            mueller_samples.check_weights(evidence, lobes, values, pdf, slack)
-            joint = self.importance.eval_pdf(wi, wo)
-            mueller_samples.check_eval_pdf(evidence, values, pdf, *joint, smooth)
             back, back_slack = self.importance.eval_with_slack(wo, wi)
             both = slack + back_slack
             mueller_symmetry.check_reciprocity(evidence, values, back, both)
@@ -153,7 +151,16 @@ class _Examination:
             mueller_symmetry.check_adjoint(evidence, other_mode, back, both)
         if lobes.delta.any():
             self._check_returns()
-        first_element.check_first_element(evidence, load, values, lobes, self.random)
+        seen = self.radiance.sample(wi, self.random)
+        mueller_samples.check_finite(evidence, seen.weights)
+        wo = np.where(seen.smooth[:, None], seen.weights.wo, other)
+        radiance, slack = self.radiance.eval_with_slack(wi, wo)
+        # where importance mode contradicts itself, nothing is due in radiance mode
+        if not any(map(evidence.of, mueller_samples.AGREEMENTS)):
+            self._check_agreement(self.radiance, seen, radiance, slack)
+        first_element.check_first_element(
+            evidence, load, [(values, lobes), (radiance, seen)], self.random
+        )
         answered = (values.raw[smooth], lobes.weights.raw[lobes.given])
         if sum(map(len, answered)) == 0:
             for name in ORDER[1:]:
@@ -163,6 +170,17 @@ class _Examination:
             if (lobes.delta & ~lobes.null).any():
                 text += ", by discrete lobes too, where a smooth surface polarises it"
             evidence.remark("realisable", text)
+
+    def _check_agreement(
+        self, probe: MuellerProbe, lobes: Lobes, values: Matrices, slack: Floats
+    ) -> None:
+        """Check that the functions agree about pairs of directions in one mode."""
+        smooth = values.lit & values.finite
+        if smooth.any():
+            pdf = probe.pdf(values.wi, values.wo)
+            mueller_samples.check_weights(self.evidence, lobes, values, pdf, slack)
+            joint = probe.eval_pdf(values.wi, values.wo)
+            mueller_samples.check_eval_pdf(self.evidence, values, pdf, *joint, smooth)
 
     def _check_returns(self) -> None:
         """Check discrete lobes on the way back, and in radiance mode."""

@@ -39,8 +39,15 @@ MISTAKES = {
     "polarizer_twice_as_bright": ("sample", "gains light"),
     "rotates_light": ("eval", "not reciprocal"),
     "first_element_off": ("eval", "missing"),
+    "sample_mode_ignored": ("sample", "importance mode does, in radiance"),
+    "sample_depolarises_radiance": ("sample", "does not, in radiance mode"),
+    "eval_pdf_mode_ignored": ("eval_pdf", "other values"),
+    "pdf_off_in_radiance": ("sample or pdf", "in radiance mode"),
+    "radiance_off": ("eval", "polarisation, in radiance mode"),
+    "mirror_radiance_off": ("sample", "polarisation, in radiance mode"),
 }
 NESTED["brushed_not_turned"] = NESTED["brushed"]
+NESTED["mirror_radiance_off"] = NESTED["mirror_not_turned"]
 
 
 class Changed:
@@ -56,31 +63,44 @@ class Changed:
         ]
 
     def sample(self, ctx, si, sample1, sample2, active=True):
-        bs, weight = self.nested.sample(self._mode(ctx), si, sample1, sample2, active)
+        bs, weight = self.nested.sample(
+            self._mode("sample", ctx), si, sample1, sample2, active
+        )
         return bs, self._changed("sample", ctx, weight, si.wi, bs.wo)
 
     def eval(self, ctx, si, wo, active=True):
-        value = self.nested.eval(self._mode(ctx), si, wo, active)
+        value = self.nested.eval(self._mode("eval", ctx), si, wo, active)
         return self._changed("eval", ctx, value, si.wi, wo)
 
     def pdf(self, ctx, si, wo, active=True):
-        return self.nested.pdf(ctx, si, wo, active)
+        pdf = self.nested.pdf(ctx, si, wo, active)
+        off = self.name == "pdf_off_in_radiance" and mi.is_polarized
+        return 1.1 * pdf if off and _is_radiance(ctx) else pdf
 
     def eval_pdf(self, ctx, si, wo, active=True):
-        return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
+        value = self.eval(self._mode("eval_pdf", ctx), si, wo, active)
+        return value, self.pdf(ctx, si, wo, active)
 
     def to_string(self):
         return f"Changed[{self.name}]"
 
-    def _mode(self, ctx):
-        return mi.BSDFContext() if self.name == "mode_ignored" else ctx
+    def _mode(self, function, ctx):
+        if self.name == "mode_ignored":
+            return mi.BSDFContext()
+        if self.name == f"{function}_mode_ignored":
+            return mi.BSDFContext(mi.TransportMode.Importance)
+        return ctx
 
     def _changed(self, function, ctx, m, wi, wo):
         name = self.name
-        if not mi.is_polarized or name in (*RIGHT, "mode_ignored"):
+        if not mi.is_polarized or name in RIGHT:
             return m
-        radiance = ctx.mode == mi.TransportMode.Radiance
+        radiance = _is_radiance(ctx)
         light = m[0, 0]
+        if name.endswith("radiance_off"):
+            return 0.9 * m if radiance else m
+        if name == f"{function}_depolarises_radiance":
+            return mi.mueller.depolarizer(light) if radiance else m
         if name in (f"{function}_depolarises", "radiance_depolarises"):
             one_mode = name.startswith("radiance")
             return m if one_mode and not radiance else mi.mueller.depolarizer(light)
@@ -119,6 +139,10 @@ class Changed:
         elif name == "rotates_light":
             plane = mi.mueller.rotator(mi.Float(0.3)) @ plane
         return turn_out.T @ plane @ turn_in
+
+
+def _is_radiance(ctx):
+    return ctx.mode == mi.TransportMode.Radiance
 
 
 def _diagonal(*values):

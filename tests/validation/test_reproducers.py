@@ -97,6 +97,8 @@ SHOWN_MATRICES = {
     "radiance_depolarises": (("adjoint",), "facets"),
     "polarizer_twice_as_bright": (("first_element", "energy"), "polarizer"),
     "retarder": (("frames", "adjoint"), "polarizer"),
+    "sample_mode_ignored": (("sampled_weight",), "facets"),
+    "radiance_off": (("first_element",), "facets"),
 }
 
 

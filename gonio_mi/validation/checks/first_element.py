@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import mitsuba as mi
 import numpy as np
@@ -25,14 +25,13 @@ ROUNDING = 2e-3
 def check_first_element(
     evidence: Evidence,
     load: Callable[[], mi.BSDF] | None,
-    values: Matrices,
-    lobes: Lobes,
+    answers: Sequence[tuple[Matrices, Lobes]],
     random: Floats,
 ) -> None:
     """Compare ``eval``, and shares of discrete lobes, with the other variant's.
 
-    For directions and random numbers of shape (n, 3). `load` loads the plugin there;
-    None if nobody knows how.
+    For directions and random numbers of shape (n, 3), in each transport mode. `load`
+    loads the plugin there; None if nobody knows how.
     """
     variant = unpolarised(mi.variant())
     if load is None or variant not in mi.variants():
@@ -42,14 +41,18 @@ def check_first_element(
         return
     try:
         with _variant(variant):
-            value, flux, types = _ask(load(), values, lobes, random)
+            bsdf = load()
+            plain = [_ask(bsdf, *own, random) for own in answers]
     except (SettingError, PluginFault, ImportError, RuntimeError) as error:
         text = f"the plugin is not to be had in {variant}: {error}"
         evidence.undecided["first_element"] = text
         return
-    same_lobe = lobes.delta & (lobes.type == types)
-    _compare(evidence, values, value, values.finite)
-    _compare(evidence, lobes.flux, flux, same_lobe)
+    for (values, lobes), (value, flux, types) in zip(answers, plain):
+        same_lobe = lobes.delta & (lobes.type == types)
+        _compare(evidence, values, value, values.finite)
+        _compare(evidence, lobes.flux, flux, same_lobe)
+        if evidence.of("first_element"):
+            return  # the same in the other mode
 
 
 def _compare(
@@ -73,9 +76,10 @@ def _compare(
         "first_element",
         function,
         f"it is {factor} times the unpolarised answer for {100 * wrong.mean():.3g} % "
-        "of the directions",
+        f"of the directions, as at {condition}",
         f"`{function}` reflects or transmits {factor} times what it does without "
-        "polarisation: a factor of one of its two branches is missing",
+        f"polarisation{matrices.in_mode}: a factor of one of its two branches is "
+        "missing",
         condition,
         size=float(wrong.mean()),
         off=float(min(1.0, np.abs(ratio - 1).mean()) * wrong.mean()),
@@ -86,7 +90,7 @@ def _ask(
     bsdf: mi.BSDF, values: Matrices, lobes: Lobes, random: Floats
 ) -> tuple[Floats, Floats, Integers]:
     """Values, and flux and types of samples, without polarisation."""
-    probe, n = Probe(bsdf, Condition(0.0)), len(random)
+    probe, n = Probe(bsdf, Condition(0.0, mode=values.mode)), len(random)
     value = probe.values(values.wo, values.wi)
     bs, weight = probe.sample(*random_numbers(random), wi=vectors(lobes.weights.wi))
     flux = spectral(weight, n) * numbers(bs.pdf, n)[:, None]

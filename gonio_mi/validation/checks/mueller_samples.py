@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ...array_types import Flags, Floats
@@ -14,10 +16,14 @@ from ..mueller import (
     condition_of,
     is_depolarised,
     off,
+    other_mode,
     per_light,
     readings,
 )
 from ..samples import is_many
+
+# Properties that are judged here, of each transport mode.
+AGREEMENTS = ("sampled_pdf", "sampled_weight", "eval_pdf")
 
 # Relative difference of densities that is no rounding.
 ROUNDING = 2e-3
@@ -61,12 +67,12 @@ def check_weights(
     if is_many(wrong):
         ratio = density[wrong] / np.maximum(pdf[wrong], 1e-30)
         low, high = np.quantile(ratio, [0.05, 0.95])
+        condition = condition_of(lobes.weights, tuple(np.argwhere(wrong)[0]))
         statistic = (
             f"the pdf of `sample` is {low:.4g} to {high:.4g} times that of `pdf` for "
-            f"{100 * wrong.mean():.3g} % of the samples"
+            f"{100 * wrong.mean():.3g} % of the samples, as at {condition}"
         )
-        mistake = "`sample` or `pdf`: their densities differ"
-        condition = condition_of(lobes.weights, tuple(np.argwhere(wrong)[0]))
+        mistake = f"`sample` or `pdf`: their densities differ{values.in_mode}"
         evidence.breach(
             "sampled_pdf", "sample or pdf", statistic, mistake, condition,
             size=float(wrong.mean()),
@@ -79,7 +85,13 @@ def check_weights(
     wrong = usable & (size > ROUNDING + slack)
     if not is_many(wrong):
         return
-    function, mistake = _difference_guess(flux.take(wrong), values.take(wrong))
+    suspects: tuple[str, ...] = ("sample", "eval")
+    if values.mode == "radiance":
+        # importance mode tells which answers of `eval` are due
+        suspects = ("eval",) if evidence.of("adjoint") else ("sample",)
+    function, mistake = _difference_guess(
+        flux.take(wrong), values.take(wrong), suspects
+    )
     worst = tuple(np.argwhere(wrong)[np.argmax(size[wrong])])
     condition = condition_of(flux, worst)
     place = np.unravel_index(np.argmax(difference[worst].max(axis=0)), (4, 4))
@@ -89,14 +101,16 @@ def check_weights(
         f"weight times pdf is off `eval` by up to {size[worst]:.3g} of the first "
         f"element, in element {place[0]}{place[1]} at {condition}, for "
         f"{100 * wrong.mean():.3g} % of the samples",
-        mistake,
+        f"{mistake}{values.in_mode}",
         condition,
         size=float(wrong.mean()),
         off=float(wrong.mean()),
     )
 
 
-def _difference_guess(flux: Matrices, values: Matrices) -> tuple[str, str]:
+def _difference_guess(
+    flux: Matrices, values: Matrices, suspects: Sequence[str]
+) -> tuple[str, str]:
     """Guilty function and mistake, where weight times pdf is not `eval`."""
     m_flux, m_eval = per_light(flux.raw), per_light(values.raw)
     light = np.maximum(flux.light, values.light)
@@ -110,12 +124,10 @@ def _difference_guess(flux: Matrices, values: Matrices) -> tuple[str, str]:
     if is_depolarised(m_flux) and not is_depolarised(m_eval):
         return "sample", "`sample` depolarises where `eval` does not"
     misfit = off(m_flux, m_eval)
-    for function, matrices, right in (
-        ("sample", flux, values),
-        ("eval", values, flux),
-    ):
+    for function in suspects:
+        matrices, right = (flux, values) if function == "sample" else (values, flux)
         due = per_light(right.in_plane())
-        for mistake, read in readings(matrices, UPRIGHT):
+        for mistake, read in (*readings(matrices, UPRIGHT), *other_mode(matrices)):
             left = off(per_light(read), due)
             if np.mean(left) < EXPLAINED * np.mean(misfit):
                 return function, f"`{function}` {mistake}"
@@ -124,8 +136,10 @@ def _difference_guess(flux: Matrices, values: Matrices) -> tuple[str, str]:
         for i, j in np.ndindex(4, 4)
         if np.abs(m_flux - m_eval)[..., i, j].max() > ROUNDING
     ]
-    return "eval or sample", (
-        f"`eval` or `sample`: they differ in {len(names)} elements "
+    function = " or ".join(sorted(suspects))
+    return function, (
+        f"{function.replace('eval', '`eval`').replace('sample', '`sample`')}: weight "
+        f"times pdf differs from `eval` in {len(names)} elements "
         f"({', '.join(names[:6])}{', ...' if len(names) > 6 else ''}) but the first"
     )
 
@@ -147,12 +161,14 @@ def check_eval_pdf(
         ("densities", asked & (density > ROUNDING), Kind.EVAL_PDF),
     ):
         if is_many(wrong):
+            condition = condition_of(values, tuple(np.argwhere(wrong)[0]))
             evidence.breach(
                 "eval_pdf",
                 "eval_pdf",
-                f"its {what} differ for {100 * wrong.mean():.3g} % of the pairs",
-                f"`eval_pdf` gives other {what} than `eval` and `pdf`",
-                condition_of(values, tuple(np.argwhere(wrong)[0])),
+                f"its {what} differ for {100 * wrong.mean():.3g} % of the pairs, as at "
+                f"{condition}",
+                f"`eval_pdf` gives other {what} than `eval` and `pdf`{values.in_mode}",
+                condition,
                 size=float(wrong.mean()),
                 kind=kind,
                 about="pdf",
