@@ -363,6 +363,14 @@ for wi, wo in ABOUT:  # two pairs of directions, next to each other
     values += [m / np.fmax(m[0, 0], 1e-30)]
 a, b = values
 {ELEMENTS}"""
+    WORLD = f"""\
+values = []
+for normal in ([0, 0, 1], [0.6, 0, 0.8]):  # of the surface, in the world
+    si.sh_frame = mi.Frame3f(normal)
+    m = np.array(FUNCTION)
+    values += [m / np.fmax(m[0, 0], 1e-30)]
+a, b = values
+{ELEMENTS}"""
     RECIPROCITY = f"""\
 {IN_PLANE}a, b = in_plane(si.wi, bs.wo), in_plane(bs.wo, mi.Vector3f(si.wi))
 b = np.einsum("jick,i,j->ijck", b, [1, 1, -1, 1], [1, 1, -1, 1])  # the way back

@@ -32,8 +32,11 @@ from ..collector.stokes import (
 )
 from ..single_precision import BSDF_ROUNDING
 from .conditions import Condition
-from .probe import Probe, numbers, random_numbers, spectral, vectors
+from .probe import Probe, floats, numbers, random_numbers, spectral, vectors
 from .samples import SLACK, ULPS
+
+# Texture coordinates.
+MIDDLE = np.array([0.5, 0.5])
 
 # First elements below which nothing is said of the others, of the largest.
 MIN_LIGHT = 1e-12
@@ -42,28 +45,37 @@ MIN_LIGHT = 1e-12
 class MuellerProbe:
     """The functions of a BSDF in one transport mode, for pairs of directions.
 
+    Texture coordinates `uv` are of shape (..., 2), and are broadcast to the directions.
+
     Parameters
     ----------
     bsdf : mi.BSDF
     mode : {"importance", "radiance"}
+    turned : bool
+        Whether the surface is turned in the world.
     """
 
-    def __init__(self, bsdf: mi.BSDF, mode: str = "importance") -> None:
+    def __init__(
+        self, bsdf: mi.BSDF, mode: str = "importance", turned: bool = False
+    ) -> None:
         self.bsdf, self.mode = bsdf, mode
         self.n_asked = 0
-        self._probe = Probe(bsdf, Condition(0.0, mode=mode))
+        self._probe = Probe(bsdf, Condition(0.0, mode=mode, turned=turned))
 
-    def eval(self, wi: Floats, wo: Floats) -> Matrices:
+    def eval(self, wi: Floats, wo: Floats, uv: Numbers = MIDDLE) -> Matrices:
         """Matrices of ``eval`` for directions of shape (..., 3)."""
-        self.n_asked += wi[..., 0].size
+        uv = self._placed(wi, uv)
         answer = self._probe.eval(vectors(wo), wi=vectors(wi))
-        return Matrices("eval", self.mode, wi, wo, elements(answer, wi.shape[:-1]))
+        return Matrices("eval", self.mode, wi, wo, uv, elements(answer, uv.shape[:-1]))
 
-    def pdf(self, wi: Floats, wo: Floats) -> Floats:
+    def pdf(self, wi: Floats, wo: Floats, uv: Numbers = MIDDLE) -> Floats:
         """Densities for directions of shape (n, 3); shape (n,)."""
+        self._placed(wi, uv)
         return self._probe.densities(wo, wi)
 
-    def eval_with_slack(self, wi: Floats, wo: Floats) -> tuple[Matrices, Floats]:
+    def eval_with_slack(
+        self, wi: Floats, wo: Floats, uv: Numbers = MIDDLE
+    ) -> tuple[Matrices, Floats]:
         """Matrices of ``eval``, and what rounding may leave in their elements, (...).
 
         The slack is relative to the first element: what displacing both directions by
@@ -72,28 +84,39 @@ class MuellerProbe:
         rng = np.random.default_rng(wi[..., 0].size)
         steps = [ULPS * (2 * rng.random((2, *wi.shape)) - 1) for _ in range(2)]
         moves = np.stack([np.zeros_like(steps[0]), *steps])
-        answers = self.eval(wi + moves[:, 0], wo + moves[:, 1])
+        answers = self.eval(wi + moves[:, 0], wo + moves[:, 1], uv)
         return answers.take(0), slack_of(per_light(answers.raw))
 
-    def eval_pdf(self, wi: Floats, wo: Floats) -> tuple[Matrices, Floats]:
+    def eval_pdf(
+        self, wi: Floats, wo: Floats, uv: Numbers = MIDDLE
+    ) -> tuple[Matrices, Floats]:
         """Both answers of ``eval_pdf`` for directions of shape (n, 3)."""
         n = len(wi)
+        uv = self._placed(wi, uv)
         self._probe.wi = vectors(wi)
         value, pdf = self._probe.eval_pdf(vectors(wo))
         densities = numbers(pdf, n).astype(float)
-        return Matrices("eval_pdf", self.mode, wi, wo, elements(value, (n,))), densities
+        found = Matrices("eval_pdf", self.mode, wi, wo, uv, elements(value, (n,)))
+        return found, densities
 
-    def sample(self, wi: Floats, random: Floats) -> Lobes:
+    def sample(self, wi: Floats, random: Floats, uv: Numbers = MIDDLE) -> Lobes:
         """Answers of ``sample`` for directions and random numbers of (..., 3)."""
         shape, n = wi.shape[:-1], wi[..., 0].size
-        self.n_asked += n
+        uv = self._placed(wi, uv)
         bs, weight = self._probe.sample(*random_numbers(random), wi=vectors(wi))
         wo = spectral(bs.wo, n).reshape(wi.shape)
         return Lobes(
-            Matrices("sample", self.mode, wi, wo, elements(weight, shape)),
+            Matrices("sample", self.mode, wi, wo, uv, elements(weight, shape)),
             numbers(bs.pdf, n).astype(float).reshape(shape),
             numbers(bs.sampled_type, n).astype(np.int64).reshape(shape),
         )
+
+    def _placed(self, wi: Floats, uv: Numbers) -> Floats:
+        """Texture coordinates of each direction, at which the BSDF is asked next."""
+        self.n_asked += wi[..., 0].size
+        uv = np.broadcast_to(uv, (*wi.shape[:-1], 2))
+        self._probe.uv = mi.Point2f(*map(floats, uv.reshape(-1, 2).T))
+        return uv
 
 
 @dataclass(frozen=True)
@@ -105,6 +128,8 @@ class Matrices:
     function, mode : str
         Who answered them.
     wi, wo : ndarray, shape (..., 3)
+    uv : ndarray, shape (..., 2)
+        Texture coordinates.
     raw : ndarray, shape (..., channels, 4, 4)
         In Mitsuba's frames.
     """
@@ -113,6 +138,7 @@ class Matrices:
     mode: str
     wi: Floats
     wo: Floats
+    uv: Floats
     raw: Floats
 
     @property
@@ -170,10 +196,16 @@ class Matrices:
         """Matrices in frames of s = k x normal, shape (..., channels, 4, 4)."""
         return reframed(self.raw, *self.turns(normal))
 
+    def place(self, wrong: Flags) -> str:
+        """Text that names the place of those that are `wrong`, if they share one."""
+        uv = np.unique(self.uv[wrong], axis=0)
+        return ", uv ({:g}, {:g})".format(*uv[0]) if len(uv) == 1 else ""
+
     def take(self, chosen: Any) -> Matrices:
         """Return the chosen pairs."""
-        wi, wo, raw = (x[chosen] for x in (self.wi, self.wo, self.raw))
-        return replace(self, wi=wi, wo=wo, raw=raw)
+        parts = (self.wi, self.wo, self.uv, self.raw)
+        wi, wo, uv, raw = (x[chosen] for x in parts)
+        return replace(self, wi=wi, wo=wo, uv=uv, raw=raw)
 
 
 @dataclass(frozen=True)
@@ -266,7 +298,8 @@ def condition_of(matrices: Matrices, at: tuple[int, ...]) -> Condition:
     theta, phi = (float(np.round(np.degrees(x), 1)) % 360 for x in angles(wi))
     side = "front" if wi[2] > 0 else "back"
     theta_i = theta if wi[2] > 0 else float(np.round(180 - theta, 1))
-    return Condition(theta_i, phi, side, mode=matrices.mode)
+    u, v = matrices.uv[at].tolist()
+    return Condition(theta_i, phi, side, (u, v), matrices.mode)
 
 
 # ----------------------------------------------------------------------------- readings

@@ -24,7 +24,7 @@ from .checks import (
     mueller_symmetry,
     realisable,
 )
-from .conditions import sides_of
+from .conditions import PLACES, sides_of
 from .evidence import Evidence
 from .mueller import (
     Lobes,
@@ -90,7 +90,7 @@ def examine_polarised(
     specimen: Any,
     load: Callable[[], mi.BSDF] | None,
 ) -> int:
-    """Run all checks and return the number of matrices that they asked for.
+    """Run all checks and return the number of answers that they asked for.
 
     Parameters
     ----------
@@ -106,8 +106,11 @@ def examine_polarised(
     normal, nested = _axes(specimen)
     examination.check_turned(normal, nested)
     examination.check_jumps()
+    if not evidence.of("frames"):
+        examination.check_world()
     examination.check_energy()
-    return examination.importance.n_asked + examination.radiance.n_asked
+    probes = (examination.importance, examination.radiance, examination.turned)
+    return sum(probe.n_asked for probe in probes)
 
 
 class _Examination:
@@ -119,21 +122,28 @@ class _Examination:
         bsdf = evidence.bsdf
         self.importance = MuellerProbe(bsdf)
         self.radiance = MuellerProbe(bsdf, "radiance")
+        self.turned = MuellerProbe(bsdf, turned=True)
         # +1 the front
         self.sides = [1 if side == "front" else -1 for side in sides_of(bsdf)]
         n = N_SAMPLES * size
         self.wi = lit_directions(self.rng, n, self.sides)
         self.random = self.rng.random((n, 3))
-        self.lobes = self.importance.sample(self.wi, self.random)
+        self.uv = np.resize(PLACES, (n, 2))
+        self.lobes = self.importance.sample(self.wi, self.random, self.uv)
+        # where samples are discrete any other direction does
+        self.other = lit_directions(self.rng, n, self.sides[::-1])
+        pairs = self.wi, self._directions(self.lobes), self.uv
+        self.values, self.slack = self.importance.eval_with_slack(*pairs)
+
+    def _directions(self, lobes: Lobes) -> Floats:
+        """Directions of samples that have a density, and others."""
+        return np.where(lobes.smooth[:, None], lobes.weights.wo, self.other)
 
     def check_pairs(self, load: Callable[[], mi.BSDF] | None) -> None:
         """Check single pairs of directions."""
-        evidence, lobes, wi = self.evidence, self.lobes, self.wi
+        evidence, lobes, wi, uv = self.evidence, self.lobes, self.wi, self.uv
         mueller_samples.check_finite(evidence, lobes.weights)
-        # where samples are discrete any other direction does
-        other = lit_directions(self.rng, len(wi), self.sides[::-1])
-        wo = np.where(lobes.smooth[:, None], lobes.weights.wo, other)
-        values, slack = self.importance.eval_with_slack(wi, wo)
+        values, slack, wo = self.values, self.slack, self.values.wo
         mueller_samples.check_finite(evidence, values)
         smooth = values.lit & values.finite
         realisable.check_matrices(evidence, values, smooth)
@@ -143,18 +153,17 @@ class _Examination:
         realisable.check_matrices(evidence, lobes.weights, asked)
         self._check_agreement(self.importance, lobes, values, slack)
         if smooth.any():
-            back, back_slack = self.importance.eval_with_slack(wo, wi)
+            back, back_slack = self.importance.eval_with_slack(wo, wi, uv)
             both = slack + back_slack
             mueller_symmetry.check_reciprocity(evidence, values, back, both)
-            other_mode = self.radiance.eval(wi, wo)
+            other_mode = self.radiance.eval(wi, wo, uv)
             mueller_samples.check_finite(evidence, other_mode)
             mueller_symmetry.check_adjoint(evidence, other_mode, back, both)
         if lobes.delta.any():
             self._check_returns()
-        seen = self.radiance.sample(wi, self.random)
+        seen = self.radiance.sample(wi, self.random, uv)
         mueller_samples.check_finite(evidence, seen.weights)
-        wo = np.where(seen.smooth[:, None], seen.weights.wo, other)
-        radiance, slack = self.radiance.eval_with_slack(wi, wo)
+        radiance, slack = self.radiance.eval_with_slack(wi, self._directions(seen), uv)
         # where importance mode contradicts itself, nothing is due in radiance mode
         if not any(map(evidence.of, mueller_samples.AGREEMENTS)):
             self._check_agreement(self.radiance, seen, radiance, slack)
@@ -177,9 +186,10 @@ class _Examination:
         """Check that the functions agree about pairs of directions in one mode."""
         smooth = values.lit & values.finite
         if smooth.any():
-            pdf = probe.pdf(values.wi, values.wo)
+            pairs = values.wi, values.wo, values.uv
+            pdf = probe.pdf(*pairs)
             mueller_samples.check_weights(self.evidence, lobes, values, pdf, slack)
-            joint = probe.eval_pdf(values.wi, values.wo)
+            joint = probe.eval_pdf(*pairs)
             mueller_samples.check_eval_pdf(self.evidence, values, pdf, *joint, smooth)
 
     def _check_returns(self) -> None:
@@ -193,46 +203,53 @@ class _Examination:
         ).copy()
         choices[..., 0] = CHOICES
         wi = np.broadcast_to(there.wo[:, None], choices.shape)
-        returned = self.importance.sample(wi, choices)
+        returned = self.importance.sample(wi, choices, there.uv[:, None])
         same = returned.delta & (returned.type == lobes.type[chosen, None])
         same &= np.abs(returned.weights.wo - there.wi[:, None]).max(-1) < SAME_DIRECTION
         which = same.argmax(axis=1)
         back = returned.weights.take((np.arange(len(chosen)), which))
-        slack = self._slack_of_lobes(there.wi, random)
+        slack = self._slack_of_lobes(there.wi, random, there.uv)
         slack = np.where(same.any(axis=1), slack, np.inf)
         mueller_symmetry.check_reciprocity(self.evidence, there, back, slack)
-        radiance = self.radiance.sample(there.wi, random)
+        radiance = self.radiance.sample(there.wi, random, there.uv)
         mueller_samples.check_finite(self.evidence, radiance.weights)
         known = radiance.delta & (radiance.type == lobes.type[chosen])
         slack = np.where(known, slack, np.inf)
         mueller_symmetry.check_adjoint(self.evidence, radiance.weights, back, slack)
 
-    def _slack_of_lobes(self, wi: Floats, random: Floats) -> Floats:
+    def _slack_of_lobes(self, wi: Floats, random: Floats, uv: Floats) -> Floats:
         """Slack for rounding of elements of weights over the first one."""
         steps = ULPS * (2 * self.rng.random((2, *wi.shape)) - 1)
         moved = wi + np.concatenate([np.zeros((1, *wi.shape)), steps])
-        lobes = self.importance.sample(moved, np.broadcast_to(random, moved.shape))
+        lobes = self.importance.sample(moved, np.broadcast_to(random, moved.shape), uv)
         return slack_of(per_light(lobes.weights.raw))
 
     def check_turned(self, normal: Floats, nested: Floats | None) -> None:
-        """Check pairs of directions that are turned together."""
+        """Check pairs of directions that are turned together.
+
+        A tilted surface is that of the first place, where `nested` are its axes.
+        """
         angle = 2 * np.pi * (np.arange(N_ANGLES) + self.rng.random(N_ANGLES)) / N_ANGLES
         turns = about(normal, angle)
         lobes = self.lobes
         for smooth in (True, False):
-            pairs = self._some(lobes.smooth if smooth else lobes.delta & ~lobes.null)
+            asked = lobes.smooth if smooth else lobes.delta & ~lobes.null
+            if nested is not None:
+                asked = asked & (self.uv == PLACES[0]).all(axis=-1)
+            pairs = self._some(asked)
             if not len(pairs):
                 continue
+            uv = self.uv[pairs, None]
             wi = np.einsum("aij,pj->pai", turns, self.wi[pairs])
             wo = np.einsum("aij,pj->pai", turns, lobes.weights.wo[pairs])
             if smooth:
-                matrices, slack = self.importance.eval_with_slack(wi, wo)
+                matrices, slack = self.importance.eval_with_slack(wi, wo, uv)
                 usable = matrices.lit & matrices.finite
             else:
                 random = np.broadcast_to(self.random[pairs, None], wi.shape)
-                turned = self.importance.sample(wi, random)
+                turned = self.importance.sample(wi, random, uv)
                 matrices = turned.flux
-                slack = self._slack_of_lobes(wi, random)
+                slack = self._slack_of_lobes(wi, random, uv)
                 usable = turned.delta & (turned.type == turned.type[:, :1])
                 # a discrete lobe turns with its source
                 usable &= np.abs(matrices.wo - wo).max(-1) < SAME_DIRECTION
@@ -258,7 +275,7 @@ class _Examination:
         lobes = self.lobes
         pairs = self._some(lobes.smooth)
         if len(pairs):
-            wi, wo = self.wi[pairs], lobes.weights.wo[pairs]
+            wi, wo, uv = self.wi[pairs], lobes.weights.wo[pairs], self.uv[pairs]
 
             def _eval_along(paths: Numbers, places: Floats) -> tuple[Matrices, Numbers]:
                 pair, kind = paths // 5, paths % 5
@@ -266,23 +283,36 @@ class _Examination:
                 # both around, wi around, wo around, wi over the pole, wo over it
                 at_wi = _moved(at_wi, places, kind <= 1, kind == 3)
                 at_wo = _moved(at_wo, places, (kind == 0) | (kind == 2), kind == 4)
-                return self.importance.eval(at_wi, at_wo), np.zeros(places.shape)
+                found = self.importance.eval(at_wi, at_wo, uv[pair])
+                return found, np.zeros(places.shape)
 
             frames.check_jumps(self.evidence, _eval_along, 5 * len(pairs))
         samples = self._some(lobes.delta)
         if len(samples):
-            lit, random = self.wi[samples], self.random[samples]
+            lit, random, at = (x[samples] for x in (self.wi, self.random, self.uv))
 
             def _sample_along(
                 paths: Numbers, places: Floats
             ) -> tuple[Matrices, Numbers]:
                 which, kind = paths // 2, paths % 2
                 moved = _moved(lit[which], places, kind == 0, kind == 1)
-                found = self.importance.sample(moved, random[which])
+                found = self.importance.sample(moved, random[which], at[which])
                 kinds = found.type * found.delta * np.sign(found.weights.wo[..., 2])
                 return found.flux, kinds
 
             frames.check_jumps(self.evidence, _sample_along, 2 * len(samples))
+
+    def check_world(self) -> None:
+        """Check the same pairs of directions on a surface that is turned."""
+        evidence, lobes, values = self.evidence, self.lobes, self.values
+        turned = self.turned.eval(values.wi, values.wo, self.uv)
+        lit = values.lit & values.finite
+        frames.check_world(evidence, values, turned, lit, self.slack)
+        there = self.turned.sample(self.wi, self.random, self.uv)
+        same = lobes.given & there.given & (there.type == lobes.type)
+        same &= np.abs(there.weights.wo - lobes.weights.wo).max(-1) < SAME_DIRECTION
+        slack = self._slack_of_lobes(self.wi, self.random, self.uv)
+        frames.check_world(evidence, lobes.flux, there.flux, same, slack)
 
     def check_energy(self) -> None:
         """Check the flux of some incident directions."""
@@ -290,7 +320,9 @@ class _Examination:
         wi = lit_directions(self.rng, N_LIT, self.sides)[:, None]
         shape = (N_LIT, n, 3)
         lobes = self.importance.sample(
-            np.broadcast_to(wi, shape), self.rng.random(shape)
+            np.broadcast_to(wi, shape),
+            self.rng.random(shape),
+            np.resize(PLACES, (N_LIT, 1, 2)),
         )
         mueller_energy.check_gain(self.evidence, lobes)
 
@@ -310,7 +342,7 @@ def _moved(d: Floats, places: Floats, around: Flags, over: Flags) -> Floats:
 def _axes(specimen: Any) -> tuple[Floats, Floats | None]:
     """Normal of the scattering surface, and axes of a nested BSDF that is tilted.
 
-    A mirror in the place of the nested BSDF shows where its normal points.
+    At the first place. A mirror instead of the nested BSDF shows where its normal is.
     """
     if not (isinstance(specimen, dict) and specimen.get("type") in TILTING):
         return UPRIGHT, None
@@ -323,7 +355,7 @@ def _axes(specimen: Any) -> tuple[Floats, Floats | None]:
             mirrored[key] = {"type": "conductor"}
     probe = MuellerProbe(loaded("the specimen", mi.load_dict, mirrored))
     wi = UPRIGHT[None]
-    lobes = probe.sample(wi, np.full((1, 3), 0.5))
+    lobes = probe.sample(wi, np.full((1, 3), 0.5), np.array(PLACES[0]))
     if not lobes.given.any():
         return UPRIGHT, None
     normal = wi[0] + lobes.weights.wo[0]

@@ -44,9 +44,13 @@ MISTAKES = {
     "eval_pdf_mode_ignored": ("eval_pdf", "other values"),
     "pdf_off_in_radiance": ("sample or pdf", "in radiance mode"),
     "radiance_off": ("eval", "polarisation, in radiance mode"),
+    "world_frames": ("eval", "directions in the world"),
+    "mirror_world_frames": ("sample", "directions in the world"),
+    "sample_depolarises_somewhere": ("sample", "depolarises where `eval` does not"),
     "mirror_radiance_off": ("sample", "polarisation, in radiance mode"),
 }
 NESTED["brushed_not_turned"] = NESTED["brushed"]
+NESTED["mirror_world_frames"] = NESTED["mirror_not_turned"]
 NESTED["mirror_radiance_off"] = NESTED["mirror_not_turned"]
 
 
@@ -66,11 +70,11 @@ class Changed:
         bs, weight = self.nested.sample(
             self._mode("sample", ctx), si, sample1, sample2, active
         )
-        return bs, self._changed("sample", ctx, weight, si.wi, bs.wo)
+        return bs, self._changed("sample", ctx, weight, si, bs.wo)
 
     def eval(self, ctx, si, wo, active=True):
         value = self.nested.eval(self._mode("eval", ctx), si, wo, active)
-        return self._changed("eval", ctx, value, si.wi, wo)
+        return self._changed("eval", ctx, value, si, wo)
 
     def pdf(self, ctx, si, wo, active=True):
         pdf = self.nested.pdf(ctx, si, wo, active)
@@ -91,8 +95,8 @@ class Changed:
             return mi.BSDFContext(mi.TransportMode.Importance)
         return ctx
 
-    def _changed(self, function, ctx, m, wi, wo):
-        name = self.name
+    def _changed(self, function, ctx, m, si, wo):
+        name, wi = self.name, si.wi
         if not mi.is_polarized or name in RIGHT:
             return m
         radiance = _is_radiance(ctx)
@@ -101,6 +105,8 @@ class Changed:
             return 0.9 * m if radiance else m
         if name == f"{function}_depolarises_radiance":
             return mi.mueller.depolarizer(light) if radiance else m
+        if name == f"{function}_depolarises_somewhere":
+            return dr.select(si.uv.x < 0.2, mi.mueller.depolarizer(light), m)
         if name in (f"{function}_depolarises", "radiance_depolarises"):
             one_mode = name.startswith("radiance")
             return m if one_mode and not radiance else mi.mueller.depolarizer(light)
@@ -114,13 +120,16 @@ class Changed:
             return m.T
         if name == "handedness_flipped":
             return _diagonal(1, 1, 1, -1) @ m
-        if "turned" not in name and name not in (
+        if not any(word in name for word in ("turned", "world")) and name not in (
             "half_the_angle",
             "too_coherent",
             "rotates_light",
         ):
             return m
         beams = (-wo, wi) if radiance else (-wi, wo)
+        if name.endswith("world_frames"):
+            turn_in, turn_out = (mi.mueller.rotator(_to_world(si, k)) for k in beams)
+            return turn_out @ m @ turn_in.T
         angle_in, angle_out = (_angle(k) for k in beams)
         turn_in, turn_out = (mi.mueller.rotator(a) for a in (angle_in, angle_out))
         plane = turn_out @ m @ turn_in.T
@@ -150,6 +159,13 @@ def _diagonal(*values):
     for i, value in enumerate(values):
         m[i, i] = mi.UnpolarizedSpectrum(value)
     return m
+
+
+def _to_world(si, k):
+    """From Mitsuba's frame of the local beam to that of its direction in the world."""
+    old = mi.mueller.stokes_basis(k)
+    new = si.to_local(mi.mueller.stokes_basis(si.to_world(k)))
+    return dr.atan2(dr.dot(k, dr.cross(old, new)), dr.dot(old, new))
 
 
 def _angle(k):

@@ -128,6 +128,11 @@ STOCK = {
         {"type": "blendbsdf", "weight": 0.3, "a": ROUGH, "b": {"type": "pplastic"}},
         "",
     ),
+    "spotted": (
+        {"type": "blendbsdf", "a": ROUGH, "b": {"type": "diffuse"}}
+        | {"weight": {"type": "checkerboard", "color0": 0.2, "color1": 0.7}},
+        "",
+    ),
     "retarder": ({"type": "retarder", "delta": 90.0}, "wi.y = 0"),
     "twosided": ({"type": "twosided", "bsdf": ROUGH}, "matrix of the front"),
 }

@@ -99,6 +99,8 @@ SHOWN_MATRICES = {
     "retarder": (("frames", "adjoint"), "polarizer"),
     "sample_mode_ignored": (("sampled_weight",), "facets"),
     "radiance_off": (("first_element",), "facets"),
+    "world_frames": (("frames",), "facets"),
+    "sample_depolarises_somewhere": (("sampled_weight",), "facets"),
 }
 
 

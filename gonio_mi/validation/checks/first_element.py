@@ -15,7 +15,7 @@ from ...transport.variants import unpolarised
 from ..conditions import Condition
 from ..evidence import Evidence
 from ..mueller import Lobes, Matrices, condition_of
-from ..probe import Probe, numbers, random_numbers, spectral, vectors
+from ..probe import Probe, floats, numbers, random_numbers, spectral, vectors
 from ..samples import is_many
 
 # Relative difference of two ways to compute one value, in single precision.
@@ -76,7 +76,7 @@ def _compare(
         "first_element",
         function,
         f"it is {factor} times the unpolarised answer for {100 * wrong.mean():.3g} % "
-        f"of the directions, as at {condition}",
+        f"of the directions, as at {condition}{matrices.place(wrong)}",
         f"`{function}` reflects or transmits {factor} times what it does without "
         f"polarisation{matrices.in_mode}: a factor of one of its two branches is "
         "missing",
@@ -91,6 +91,7 @@ def _ask(
 ) -> tuple[Floats, Floats, Integers]:
     """Values, and flux and types of samples, without polarisation."""
     probe, n = Probe(bsdf, Condition(0.0, mode=values.mode)), len(random)
+    probe.uv = mi.Point2f(*map(floats, values.uv.T))
     value = probe.values(values.wo, values.wi)
     bs, weight = probe.sample(*random_numbers(random), wi=vectors(lobes.weights.wi))
     flux = spectral(weight, n) * numbers(bs.pdf, n)[:, None]

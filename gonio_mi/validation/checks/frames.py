@@ -10,6 +10,7 @@ import numpy as np
 
 from ...array_types import Flags, Floats, Numbers
 from ...collector.stokes import plane_axis, reframed, turn
+from ..conditions import TURN
 from ..evidence import Evidence
 from ..kinds import MatrixKind
 from ..mueller import (
@@ -21,6 +22,8 @@ from ..mueller import (
     per_light,
     readings,
 )
+from ..samples import is_many
+from .mueller_symmetry import ROUNDING
 
 # Relative change of the first element up to which it does not depend on the azimuth.
 SAME_LIGHT = 0.01
@@ -143,6 +146,43 @@ def _handedness(turned: Turned, in_plane: Floats) -> float:
     )
     m = per_light(reframed(in_plane, *turns))
     return float(np.abs(m[..., :2, 2:]).mean() + np.abs(m[..., 2:, :2]).mean())
+
+
+def check_world(
+    evidence: Evidence, here: Matrices, there: Matrices, asked: Flags, slack: Floats
+) -> None:
+    """Check that matrices do not change where the surface is turned in the world.
+
+    Where light changes as well, the model depends on its place in the world.
+    """
+    m, turned = per_light(here.raw), per_light(there.raw)
+    size = np.where(asked, np.nan_to_num(off(m, turned)), 0.0)
+    change = np.abs(there.light - here.light)
+    same_light = (change <= SAME_LIGHT * here.light).all(axis=-1)
+    wrong = same_light & (size > ROUNDING + slack)
+    if not is_many(wrong):
+        return
+    function, worst = here.function, int(np.argmax(np.where(wrong, size, 0)))
+    condition = condition_of(here, (worst,))
+    due = per_light(here.in_plane()[wrong])
+    world = reframed(there.raw, *there.turns(axes=TURN.T))[wrong]
+    mistake = "is another matrix where the surface is turned in the world"
+    if off(per_light(world), due).mean() < EXPLAINED * size[wrong].mean():
+        mistake = (
+            "takes Stokes bases of directions in the world, where those of local "
+            "directions are due"
+        )
+    evidence.breach(
+        "frames",
+        function,
+        f"elements over the first change by up to {size[worst]:.3g} where the surface "
+        f"is turned in the world, at {condition}",
+        f"`{function}` {mistake}",
+        condition,
+        size=float(size[worst]),
+        off=float(wrong.mean()),
+        kind=MatrixKind.WORLD,
+    )
 
 
 # ------------------------------------------------------------------------------- jumps

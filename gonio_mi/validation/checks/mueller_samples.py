@@ -41,13 +41,13 @@ def check_finite(evidence: Evidence, matrices: Matrices) -> None:
         (bad, "elements that are not finite"),
         (negative, "a negative first element"),
     ):
-        if wrong.any():
+        if (wrong := np.asarray(wrong)).any():
             condition = condition_of(matrices, tuple(np.argwhere(wrong)[0]))
             evidence.breach(
                 "answers",
                 function,
                 f"{what} for {100 * wrong.mean():.3g} % of the matrices, as at "
-                f"{condition}",
+                f"{condition}{matrices.place(wrong)}",
                 f"`{function}` returns matrices with {what}",
                 condition,
                 size=float(wrong.mean()),
@@ -71,6 +71,7 @@ def check_weights(
         statistic = (
             f"the pdf of `sample` is {low:.4g} to {high:.4g} times that of `pdf` for "
             f"{100 * wrong.mean():.3g} % of the samples, as at {condition}"
+            f"{values.place(wrong)}"
         )
         mistake = f"`sample` or `pdf`: their densities differ{values.in_mode}"
         evidence.breach(
@@ -100,7 +101,7 @@ def check_weights(
         function,
         f"weight times pdf is off `eval` by up to {size[worst]:.3g} of the first "
         f"element, in element {place[0]}{place[1]} at {condition}, for "
-        f"{100 * wrong.mean():.3g} % of the samples",
+        f"{100 * wrong.mean():.3g} % of the samples{values.place(wrong)}",
         f"{mistake}{values.in_mode}",
         condition,
         size=float(wrong.mean()),
@@ -166,7 +167,7 @@ def check_eval_pdf(
                 "eval_pdf",
                 "eval_pdf",
                 f"its {what} differ for {100 * wrong.mean():.3g} % of the pairs, as at "
-                f"{condition}",
+                f"{condition}{values.place(wrong)}",
                 f"`eval_pdf` gives other {what} than `eval` and `pdf`{values.in_mode}",
                 condition,
                 size=float(wrong.mean()),

@@ -72,7 +72,7 @@ def _breach(
         name,
         matrices.function,
         f"elements over the first are off by up to {size[worst]:.3g} at {condition}, "
-        f"for {100 * wrong.mean():.3g} % of the directions",
+        f"for {100 * wrong.mean():.3g} % of the directions{matrices.place(wrong)}",
         f"`{matrices.function}` {mistake}",
         condition,
         size=float(wrong.mean()),

@@ -39,7 +39,8 @@ def check_matrices(evidence: Evidence, matrices: Matrices, asked: Flags) -> None
         "realisable",
         function,
         f"an eigenvalue of the coherency matrix is {least[worst]:.3g} of their sum at "
-        f"{condition}, and negative for {100 * wrong.mean():.3g} % of the matrices",
+        f"{condition}, and negative for {100 * wrong.mean():.3g} % of the matrices"
+        f"{chosen.place(wrong)}",
         f"`{function}` returns matrices that no surface has: {_mistake(m[wrong])}",
         condition,
         size=float(-least[worst]),
