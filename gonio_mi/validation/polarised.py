@@ -14,7 +14,7 @@ import numpy as np
 
 from ..array_types import Flags, Floats, Integers, Numbers
 from ..collector.directions import angles, direction
-from ..collector.stokes import UPRIGHT
+from ..collector.stokes import UPRIGHT, plane_axis
 from ..instrument.loading import loaded
 from .checks import (
     first_element,
@@ -53,6 +53,9 @@ SAME_DIRECTION = 1e-3
 
 # Polar angle, in degrees, from which paths go through the pole.
 STEEP = 80.0
+
+# Kinds of paths, and the length in degrees of the two legs of one through wo = wi.
+N_KINDS, LEG = 6, 5.0
 
 # What explains the others, first.
 ORDER = (
@@ -278,15 +281,17 @@ class _Examination:
             wi, wo, uv = self.wi[pairs], lobes.weights.wo[pairs], self.uv[pairs]
 
             def _eval_along(paths: Numbers, places: Floats) -> tuple[Matrices, Numbers]:
-                pair, kind = paths // 5, paths % 5
+                pair, kind = paths // N_KINDS, paths % N_KINDS
                 at_wi, at_wo = wi[pair], wo[pair]
+                straight = _through(at_wi, at_wo, places)
+                at_wo = np.where((kind == 5)[..., None], straight, at_wo)
                 # both around, wi around, wo around, wi over the pole, wo over it
                 at_wi = _moved(at_wi, places, kind <= 1, kind == 3)
                 at_wo = _moved(at_wo, places, (kind == 0) | (kind == 2), kind == 4)
                 found = self.importance.eval(at_wi, at_wo, uv[pair])
                 return found, np.zeros(places.shape)
 
-            frames.check_jumps(self.evidence, _eval_along, 5 * len(pairs))
+            frames.check_jumps(self.evidence, _eval_along, N_KINDS * len(pairs))
         samples = self._some(lobes.delta)
         if len(samples):
             lit, random, at = (x[samples] for x in (self.wi, self.random, self.uv))
@@ -337,6 +342,19 @@ def _moved(d: Floats, places: Floats, around: Flags, over: Flags) -> Floats:
     led[..., 2] *= z
     d = np.broadcast_to(d, turned.shape)
     return np.where(around[..., None], turned, np.where(over[..., None], led, d))
+
+
+def _through(wi: Floats, wo: Floats, places: Floats) -> Floats:
+    """Directions wo of paths through wi, or through -wi of light that is transmitted.
+
+    The path turns there by 45 degrees, between whose sides all errors of signs differ.
+    """
+    middle = wi * np.sign(wi[..., 2:] * wo[..., 2:])
+    s = plane_axis(middle)
+    other = (s + np.cross(middle, s)) / np.sqrt(2)
+    leg = np.where(places[..., None] < 0.5, s, other)
+    angle = np.radians(LEG) * np.abs(2 * places - 1)[..., None]
+    return np.asarray(np.cos(angle) * middle + np.sin(angle) * leg)
 
 
 def _axes(specimen: Any) -> tuple[Floats, Floats | None]:

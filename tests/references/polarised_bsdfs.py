@@ -18,7 +18,7 @@ NESTED = {
 }
 NESTED["brushed"]["alpha_u"] = NESTED["brushed"].pop("alpha")
 
-RIGHT = ("facets", "brushed", "glass", "coated")
+RIGHT = ("facets", "brushed", "glass", "coated", "r_p_right")
 
 MISTAKES = {
     "not_turned": ("eval", "does not turn its frames"),
@@ -47,10 +47,13 @@ MISTAKES = {
     "world_frames": ("eval", "directions in the world"),
     "mirror_world_frames": ("sample", "directions in the world"),
     "sample_depolarises_somewhere": ("sample", "depolarises where `eval` does not"),
+    "r_p_wrong": ("eval", "where wo = wi"),
+    "mirror_r_p_wrong": ("sample", "jumps at the pole: its elements depend"),
     "mirror_radiance_off": ("sample", "polarisation, in radiance mode"),
 }
 NESTED["brushed_not_turned"] = NESTED["brushed"]
 NESTED["mirror_world_frames"] = NESTED["mirror_not_turned"]
+NESTED["mirror_r_p_wrong"] = NESTED["mirror_not_turned"]
 NESTED["mirror_radiance_off"] = NESTED["mirror_not_turned"]
 
 
@@ -97,9 +100,18 @@ class Changed:
 
     def _changed(self, function, ctx, m, si, wo):
         name, wi = self.name, si.wi
-        if not mi.is_polarized or name in RIGHT:
+        if not mi.is_polarized or name in RIGHT[:4]:
             return m
         radiance = _is_radiance(ctx)
+        beams = (-wo, wi) if radiance else (-wi, wo)
+        if "r_p" in name:
+            # in the plane of incidence of the facet, which none is at its pole
+            sign = 1 if name == "r_p_right" else -1
+            s = dr.cross(beams[0], wi + wo)
+            s = dr.select(dr.norm(s) > 1e-4, dr.normalize(s), mi.Vector3f(0, 1, 0))
+            turn_in, turn_out = (mi.mueller.rotator(_to_axis(k, s)) for k in beams)
+            plane = turn_out @ m @ turn_in.T
+            return turn_out.T @ _diagonal(1, 1, sign, sign) @ plane @ turn_in
         light = m[0, 0]
         if name.endswith("radiance_off"):
             return 0.9 * m if radiance else m
@@ -126,7 +138,6 @@ class Changed:
             "rotates_light",
         ):
             return m
-        beams = (-wo, wi) if radiance else (-wi, wo)
         if name.endswith("world_frames"):
             turn_in, turn_out = (mi.mueller.rotator(_to_world(si, k)) for k in beams)
             return turn_out @ m @ turn_in.T
@@ -163,14 +174,17 @@ def _diagonal(*values):
 
 def _to_world(si, k):
     """From Mitsuba's frame of the local beam to that of its direction in the world."""
-    old = mi.mueller.stokes_basis(k)
-    new = si.to_local(mi.mueller.stokes_basis(si.to_world(k)))
-    return dr.atan2(dr.dot(k, dr.cross(old, new)), dr.dot(old, new))
+    return _to_axis(k, si.to_local(mi.mueller.stokes_basis(si.to_world(k))))
 
 
 def _angle(k):
     """From Mitsuba's frame of the beam to that of s = k x z."""
-    old, new = mi.mueller.stokes_basis(k), dr.cross(k, mi.Vector3f(0, 0, 1))
+    return _to_axis(k, dr.cross(k, mi.Vector3f(0, 0, 1)))
+
+
+def _to_axis(k, new):
+    """From Mitsuba's frame of the beam to that of another first axis."""
+    old = mi.mueller.stokes_basis(k)
     return dr.atan2(dr.dot(k, dr.cross(old, new)), dr.dot(old, new))
 
 

@@ -10,6 +10,7 @@ import pytest
 from reproduced import code_of, told
 
 from gonio_mi.errors import SettingError
+from gonio_mi.single_precision import BSDF_ROUNDING
 from gonio_mi.validation import (
     PROPERTIES,
     Property,
@@ -18,6 +19,7 @@ from gonio_mi.validation import (
     save_report,
     validate,
 )
+from gonio_mi.validation.checks.frames import JUMP
 from gonio_mi.validation.kinds import Kind, MatrixKind
 from gonio_mi.validation.reproducer import script
 
@@ -123,6 +125,15 @@ def test_finding_of_matrices_is_shown_by_its_script(name):
         assert len(code_of(text)) <= 20, text
         assert told(text) > 1, text
         assert told(text.replace(f'"{name}"', f'"{right}"')) < 1, text
+
+
+@pytest.mark.usefixtures("matrices", "polarised")
+def test_jump_of_matrices_is_shown_by_its_script():
+    """Near wo = wi the frame of a facet is that of a small, rounded sine."""
+    verdict = validate({"type": "r_p_wrong"}, effort="quick")
+    text = reproducer(verdict, "frames")
+    mended = text.replace('"r_p_wrong"', '"r_p_right"')
+    assert told(text) > JUMP / BSDF_ROUNDING > told(mended)
 
 
 @pytest.mark.parametrize("kind", [*Kind, *MatrixKind], ids=str)

@@ -39,9 +39,12 @@ N_SECTIONS, N_ROUNDS = 24, 5
 # Steps of paths over the sphere that meet the pole.
 N_STEPS = 48
 
-# Where a jump may lie: what is 0 there.
+# Distance to a pole, or of wo to wi, that only paths through there reach: frames may be
+# replaced at some distance.
+CLOSE = 0.01
+
+# Where else a jump may lie: what is 0 there.
 BORDERS: dict[str, Callable[[Floats], Floats]] = {
-    "the pole": lambda d: np.hypot(d[..., 0], d[..., 1]),
     "x = 0": lambda d: np.abs(d[..., 0]),
     "y = 0": lambda d: np.abs(d[..., 1]),
     "|x| = |y|": lambda d: np.abs(np.abs(d[..., 0]) - np.abs(d[..., 1])),
@@ -224,22 +227,33 @@ def check_jumps(
     worst = int(np.argmax(size))
     at = (row[worst], column[worst])
     function, condition = matrices.function, condition_of(matrices, at)
-    where = _border(matrices, at)
+    where, straight = _border(matrices, at), _straight(matrices, at)
+    cause = (
+        "its frames are turned by an angle whose sign or axis changes there, as that "
+        "to an axis which is not perpendicular to the beam"
+    )
+    if straight:
+        cause = (
+            "its elements depend on a plane of incidence, of which there is none, as "
+            "where r_p or t_p has the wrong sign"
+        )
     both = (row[worst], slice(at[1], at[1] + 2))
-    wi, wo = (x[both].round(9) for x in (matrices.wi, matrices.wo))
+    # single precision is a number of nine digits
+    wi, wo = (
+        [[float(f"{x:.9g}") for x in d] for d in directions[both].astype(np.float32)]
+        for directions in (matrices.wi, matrices.wo)
+    )
     evidence.breach(
         "frames",
         function,
         f"elements over the first jump by {size[worst]:.3g} {where or 'at'} "
         f"({condition}), on {len(size)} of {n_paths} paths over the sphere",
-        f"`{function}` jumps{' ' + where if where else ''}: its frames are turned by "
-        "an angle whose sign or axis changes there, as that to an axis which is not "
-        "perpendicular to the beam",
+        f"`{function}` jumps{' ' + where if where else ''}: {cause}",
         condition,
         size=float(size[worst]) / 2,
         off=len(size) / n_paths,
         kind=MatrixKind.JUMP,
-        about=str([(wi[i].tolist(), wo[i].tolist()) for i in (0, 1)]),
+        about=str(list(zip(wi, wo))),
     )
 
 
@@ -258,9 +272,26 @@ def _changes(matrices: Matrices, kind: Numbers) -> Floats:
 
 def _border(matrices: Matrices, at: tuple[int, int]) -> str:
     """Name of the place where the jump after a pair lies; empty if it has none."""
+    wi, wo = matrices.wi[at], matrices.wo[at]
+    if any(np.hypot(d[0], d[1]) < CLOSE for d in (wi, wo)):
+        return "at the pole"
+    if straight := _straight(matrices, at):
+        return f"where {straight}"
     for name, distance in BORDERS.items():
-        for which in ("wi", "wo"):
-            if distance(getattr(matrices, which)[at]) < 1e-5:
+        for which, d in (("wi", wi), ("wo", wo)):
+            if distance(d) < 1e-5:
                 text = name.replace("x", f"{which}.x").replace("y", f"{which}.y")
-                return f"over {text}" if name != "the pole" else "at the pole"
+                return f"over {text}"
     return ""
+
+
+def _straight(matrices: Matrices, at: tuple[int, int]) -> str:
+    """Where light goes on or back the same way, nearly; empty if it does not.
+
+    A discrete lobe may go straight on from everywhere.
+    """
+    wi, wo = matrices.wi[at], matrices.wo[at]
+    if np.linalg.norm(wo - wi) < 2 * CLOSE:
+        return "wo = wi"
+    on = matrices.function == "eval" and np.linalg.norm(wo + wi) < 2 * CLOSE
+    return "wo = -wi" if on else ""
