@@ -284,8 +284,12 @@ def about(axis: Numbers, angle: Numbers) -> Floats:
 
 
 def lit_directions(rng: np.random.Generator, n: int, sides: Sequence[int]) -> Floats:
-    """Directions to the source, half of them grazing, on the sides +1 and -1."""
-    theta = np.radians(np.where(np.arange(n) % 2, 85, 50) * np.sqrt(rng.random(n)))
+    """Directions to the source, half of them grazing, on the sides +1 and -1.
+
+    The sides alternate, so that each has grazing ones.
+    """
+    grazing = np.arange(n) // len(sides) % 2
+    theta = np.radians(np.where(grazing, 85, 50) * np.sqrt(rng.random(n)))
     found = direction(np.maximum(theta, 0.05), 2 * np.pi * rng.random(n))
     found[:, 2] *= np.resize(sides, n)
     # as single precision has it
