@@ -174,12 +174,12 @@ class Probe:
         # `n` may be so many times the samples, which are then asked again and again
         uv = dr.tile(self.uv, n // dr.width(self.uv))
         dr.make_opaque(wi, uv, arguments)
-        # a plugin may narrow its mask in place
-        mask = active if isinstance(active, bool) else mi.Bool(active)
+        # a plugin may change its copies in place: narrow its mask, or flip a direction
+        copies = [type(one)(one) for one in (*arguments, active)]
         with blamed(function):
             method, si = getattr(self.bsdf, function), self.interaction(wi)
             si.uv = uv
-            return method(ctx or self.ctx, si, *arguments, mask)
+            return method(ctx or self.ctx, si, *copies)
 
     @staticmethod
     def _pair(

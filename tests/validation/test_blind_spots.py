@@ -127,6 +127,27 @@ def test_one_direction_may_be_that_of_all_rays():
     assert "is not that of a mirror" in found.mistake
 
 
+@pytest.mark.parametrize("kept", [True, False])
+def test_arguments_may_be_changed_in_place(kept):
+    """Callers in C++ pass copies; the twin keeps its direction for the next call."""
+
+    def evaluate(self, ctx, si, wo, active):
+        value = Matte.eval(self, ctx, si, wo, active)
+        wo.z, si.wi.z = -wo.z, -si.wi.z
+        self.last = wo
+        return value
+
+    def density(self, si, wo):  # noqa: ARG001
+        last = getattr(self, "last", wo)
+        own = wo if kept or dr.width(last) != dr.width(wo) else last
+        return dr.inv_pi * dr.abs(own.z)
+
+    judged = verdict(Matte, eval=evaluate, density=density)
+    assert judged.passed == kept, str(judged)
+    if kept:
+        assert not judged["answers"].statistic, str(judged)
+
+
 # ------------------------------------------------------------------------ both modes
 
 
