@@ -270,8 +270,13 @@ class Evidence:
         condition: Condition | None = None,
         **others: Any,
     ) -> None:
-        """Add a :class:`Breach`."""
+        """Add a :class:`Breach`.
+
+        One of a single component concerns the interface: no integrator asks for one.
+        """
         others |= {"function": function, "mistake": mistake}
+        if condition is not None and condition.component is not None:
+            others["effect"] = INTERFACE
         self.breaches.append(Breach(name, statistic, condition, **others))
 
     def breach_of_ratio(
@@ -338,7 +343,7 @@ class Evidence:
     ) -> None:
         """Add a :class:`Test`.
 
-        A test of a single component concerns the interface: no integrator asks for one.
+        One of a single component concerns the interface, too.
         """
         component = None if condition is None else condition.component
         effect = "" if component is None else INTERFACE

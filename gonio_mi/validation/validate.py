@@ -43,7 +43,6 @@ from .cosines import explain_reciprocity
 from .diagnosis import likely_mistake
 from .evidence import (
     BIAS,
-    INTERFACE,
     MAX_P,
     PHASE,
     POLARISED,
@@ -272,7 +271,6 @@ def _check_samples(
     """Check samples of one condition."""
     samples = samples_of(evidence.bsdf, condition, n, key)
     evidence.samples.append(samples)
-    known = len(evidence.breaches)
     check_identities(evidence, samples)
     answers.check_lattice(evidence, Probe(evidence.bsdf, condition))
     eval_pdf.check_lattice(evidence, Probe(evidence.bsdf, condition))
@@ -285,9 +283,6 @@ def _check_samples(
         returns = reciprocity.check_lobe(evidence, lobe, key)
         adjoint.check_lobe(evidence, lobe, key, returns)
     delta.check_null(evidence, samples)
-    if condition.component is not None:
-        # no integrator asks for one component only
-        evidence.change(evidence.breaches[known:], effect=INTERFACE)
 
 
 def _check_maps(

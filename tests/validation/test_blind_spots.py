@@ -399,6 +399,27 @@ def test_a_lobe_drawn_too_often_is_told_so(drawn):
         assert judged.mistake.startswith("`sample` draws lobes or directions with")
 
 
+class Stub(Matte):
+    """A second component of density 0, or the whole, where ``eval`` ignores both."""
+
+    lobes = ("DiffuseReflection FrontSide", "GlossyReflection FrontSide")
+    dark = 1
+
+    def pdf(self, ctx, si, wo, active):
+        asked = ctx.component if ctx.component < 2 else None  # 2^32 - 1 means all
+        return Matte.pdf(self, ctx, si, wo, active) * (asked != self.dark)
+
+
+@pytest.mark.parametrize("dark", [1, None])
+def test_light_of_a_single_component_concerns_the_interface(dark):
+    judged = verdict(Stub, dark=dark)
+    assert judged.passed == (dark == 1), str(judged)
+    if judged.passed:
+        found = judged["weights"]
+        assert "component 1" in found.statistic
+        assert found.effect == HARMLESS
+
+
 class Veil(Normal):
     """Lets half of the light from the front pass, and none from the back."""
 
