@@ -16,10 +16,20 @@ from ..evidence import BIAS, INTERFACE, MAX_P, Evidence
 from ..kinds import Kind
 from ..probe import Probe, blamed, changed, number_parameters, spectral, vectors
 from ..samples import Samples, is_many, unequal
+from . import answers
 from .agreement import check_sweep
 
 # Step of a sequence that is spread evenly: the golden section.
 GOLDEN = (5**0.5 - 1) / 2
+
+# Largest and smallest relative steps that all functions must follow, or steps of a 0.
+FAR, NEAR = 0.5, 2.0**-4
+
+# Parameters that are changed alone.
+MAX_ALONE = 8
+
+# How near to 1 the length of a direction is.
+UNIT = 1e-4
 
 # Relative steps of central differences, whose error falls with their square: where the
 # three do not agree, there is nothing to compare with.
@@ -58,62 +68,71 @@ def check_changes(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> Non
     known = [*evidence.breaches, *(t for t in evidence.tests if t.p < MAX_P)]
     if any(one.effect == BIAS for one in known):
         return  # a change adds nothing to what is wrong before
-    values = _other_values(evidence.bsdf)
-    after = _after(evidence, plan, sides, values) if values else None
-    if after is None:
+    values = _changeable(evidence.bsdf)
+    if not values:
         return
-    found, p = {"all parameters": after}, _least_p(after)
-    if _biases(after):
-        # together, they may be out of their range
-        each = (
-            (name, _after(evidence, plan, sides, {name: x}))
-            for name, x in values.items()
-        )
-        found = {name: one for name, one in each if one is not None}
-        least = min(map(_least_p, found.values()), default=1.0)
-        p = max(p, min(1.0, len(found) * least))
-    name = next((name for name, one in found.items() if _biases(one)), None)
-    if name is None:
-        evidence.test("parameters", p, "directions after a change of all parameters")
+    others = {name: _other(value) for name, value in values.items()}
+    after = _after(evidence, plan, sides, others)
+    if after is not None and not _biases(after):
+        text = "directions after a change of all parameters"
+        evidence.test("parameters", _least_p(after), text)
         return
-    function = _stale(evidence.sweeps[0], found[name])
-    who = function.replace(" or ", "` or `")
-    mistake = f"`{who}` does not follow a change of {name}"
-    breaches = [b.statistic for b in found[name].breaches if b.effect == BIAS]
-    if breaches:
-        text = f"after a change of {name}: {breaches[0]}"
-        evidence.breach("parameters", function, text, mistake, size=2.0, about=name)
-    else:
-        worst = min(found[name].tests, key=lambda test: test.p).statistic
-        evidence.test("parameters", p, f"after a change of {name}: {worst}", about=name)
-        evidence.suspects["parameters"] = function, mistake
+    # together, they may be out of their range
+    for name in (names := few(values)):
+        found = _alone(evidence, plan, sides, name, values[name])
+        if found is None:
+            continue
+        function = _stale(evidence.sweeps[0], found)
+        who = function.replace(" or ", "` or `")
+        mistake = f"`{who}` does not follow a change of {name}"
+        breaches = [b.statistic for b in found.breaches if b.effect == BIAS]
+        if breaches:
+            text = f"after a change of {name}: {breaches[0]}"
+            evidence.breach("parameters", function, text, mistake, size=2.0, about=name)
+        else:
+            text = min(found.tests, key=lambda test: test.p).statistic
+            text, p = f"after a change of {name}: {text}", len(names) * _least_p(found)
+            evidence.test("parameters", min(1.0, p), text, about=name)
+            evidence.suspects["parameters"] = function, mistake
+        return
 
 
-def _other_values(bsdf: mi.BSDF) -> dict[str, Any]:
-    """New values by name for numbers, colours and tables, within usual ranges."""
+def _changeable(bsdf: mi.BSDF) -> dict[str, Any]:
+    """Numbers, colours, vectors and tables of a BSDF, by name."""
+    vector_kinds = (mi.Vector2f, mi.Point2f, mi.Vector3f, mi.Point3f, mi.Normal3f)
     try:
-        _, known = number_parameters(bsdf, mi.TensorXf)
+        _, known = number_parameters(bsdf, mi.TensorXf, *vector_kinds)
     except PluginFault:
         return {}  # a property of its own
-    values = {}
-    for name, value in known.items():
-        numbers = np.ravel(np.array(value, dtype=float))
-        if not np.isfinite(numbers).all() or (numbers < 0).any() or not numbers.any():
-            continue
-        if isinstance(value, mi.TensorXf):
-            # not in proportion, of which a density knows nothing
-            turns = np.arange(len(numbers)) * GOLDEN % 1
-            other = mi.TensorXf(
-                np.float32(numbers * (1 - turns / 2)).reshape(value.shape)
-            )
-        elif (numbers > 0).all():
+    return {k: x for k, x in known.items() if np.isfinite(np.array(x)).all()}
+
+
+def few(values: dict[str, Any]) -> list[str]:
+    """Names of at most `MAX_ALONE` of them, evenly chosen."""
+    return list(values)[:: -(-len(values) // MAX_ALONE)]
+
+
+def _other(value: Any, step: float | None = None) -> Any:
+    """Another value, of a relative step; without it a large one in usual ranges."""
+    x = np.array(value, dtype=float)
+    turns = (np.arange(x.size) * GOLDEN % 1).reshape(x.shape)
+    size = np.abs(x).max(initial=0)
+    table = isinstance(value, mi.TensorXf)
+    if size == 0:
+        x = x + (step or FAR)
+    else:
+        if step is None:
             # not beyond 1, where ranges end
-            other = type(value)(value * (0.5 if numbers.max() <= 1 else 1.5))
+            step = -FAR if size <= 1 or table else FAR
+        if abs(np.linalg.norm(x) - 1) < UNIT and x.size > 1 and not table:
+            x = x + step * turns
+            x = x / np.linalg.norm(x)
         else:
-            continue
-        dr.make_opaque(other)
-        values[name] = other
-    return values
+            # a table not in proportion, of which a density knows nothing
+            x = x * (1 + step * (turns if table else 1))
+    other = type(value)(np.float32(x))
+    dr.make_opaque(other)
+    return other
 
 
 def _after(
@@ -124,9 +143,32 @@ def _after(
     try:
         with changed(evidence.bsdf, values):
             check_sweep(found, plan, sides)
+            probe = Probe(evidence.bsdf, Condition(40.0, 25.0, sides[0]))
+            answers.check_lattice(found, probe)
     except PluginFault:
         return None
     return found
+
+
+def _alone(
+    evidence: Evidence, plan: Effort, sides: Sequence[str], name: str, value: Any
+) -> Evidence | None:
+    """What is wrong after any change of one parameter; None if nothing is.
+
+    A change out of its range proves nothing: values are improper, or all functions
+    follow a smaller one, as far as that can be seen without chance.
+    """
+    worst = None
+    for step in (None, NEAR, -NEAR):
+        found = _after(evidence, plan, sides, {name: _other(value, step)})
+        if found is None or found.of("answers"):
+            continue
+        if not _biases(found):
+            return None
+        worst = worst or found
+        if not any(b.effect == BIAS for b in found.breaches):
+            break
+    return worst
 
 
 def _least_p(found: Evidence) -> float:

@@ -1,0 +1,206 @@
+"""Functions follow a change of parameters of any kind, each alone, in its range."""
+
+import drjit as dr
+import mitsuba as mi
+import pytest
+
+from gonio_mi.validation import validate
+from gonio_mi.validation.checks import parameters
+from gonio_mi.validation.checks.parameters import MAX_ALONE
+
+pytestmark = pytest.mark.usefixtures("mono")
+
+FLAGS = mi.BSDFFlags.GlossyReflection, mi.BSDFFlags.FrontSide
+FLAGS += (mi.BSDFFlags.NonSymmetric,)
+
+
+class Mixed:
+    """A matte lobe of share a and one of cos^k: right if `cached` follows `k`."""
+
+    values = {"a": 0.4, "k": 3.0}
+    albedo = 0.7
+
+    def __init__(self, props):
+        mi.BSDF.__init__(self, props)
+        self.m_flags = sum(map(int, FLAGS))
+        self.m_components = [self.m_flags]
+        for name, value in self.values.items():
+            kind = mi.Vector3f if isinstance(value, list) else mi.Float
+            setattr(self, name, kind(value))
+        self.refresh()
+
+    def share(self):
+        return self.a
+
+    def power(self):
+        return self.k
+
+    def refresh(self):
+        self.cached = mi.Float(self.power())
+
+    def traverse(self, callback):
+        for name in self.values:
+            callback.put(name, getattr(self, name), mi.ParamFlags.Differentiable)
+
+    def parameters_changed(self, keys):  # noqa: ARG002
+        self.refresh()
+
+    def density(self, k, wo):
+        glossy = dr.inv_two_pi * (k + 1) * dr.power(wo.z, k)
+        return dr.lerp(glossy, dr.inv_pi * wo.z, self.share())
+
+    def sample(self, ctx, si, sample1, sample2, active):
+        k, phi = self.power(), dr.two_pi * sample2.y
+        matte = sample1 < self.share()
+        z = dr.select(matte, dr.sqrt(sample2.x), dr.power(sample2.x, 1 / (k + 1)))
+        (sin, cos), r = dr.sincos(phi), dr.safe_sqrt(1 - z * z)
+        bs = dr.zeros(mi.BSDFSample3f)
+        bs.wo, bs.eta = mi.Vector3f(r * cos, r * sin, z), 1.0
+        bs.sampled_type = mi.UInt32(int(FLAGS[0]))
+        lit = active & (si.wi.z > 0) & (z > 0)
+        bs.pdf = dr.select(lit, self.density(k, bs.wo), 0)
+        value = self.eval(ctx, si, bs.wo, active)
+        return bs, (value / bs.pdf) & (bs.pdf > 0)
+
+    def eval(self, ctx, si, wo, active):  # noqa: ARG002
+        lit = active & (si.wi.z > 0) & (wo.z > 0)
+        return mi.Spectrum(self.albedo * self.density(self.power(), wo)) & lit
+
+    def pdf(self, ctx, si, wo, active):  # noqa: ARG002
+        lit = active & (si.wi.z > 0) & (wo.z > 0)
+        return dr.select(lit, self.density(self.cached, wo), 0)
+
+    def to_string(self):
+        return "Mixed[]"
+
+
+def verdict(base=Mixed, **changes):
+    own = {}
+    for one in reversed(base.__mro__[:-1]):
+        own |= vars(one)
+    own = {k: v for k, v in own.items() if k not in ("__dict__", "__weakref__")}
+    mi.register_bsdf("changing", type("Plugin", (mi.BSDF,), own | changes))
+    return validate({"type": "changing"}, effort="quick", strict=True)
+
+
+KINDS = {
+    "positive": ({"k": 3.0}, lambda self: self.k),
+    "negative": ({"k": -1.1}, lambda self: dr.exp(-self.k)),
+    "zero": ({"k": 0.0}, lambda self: 3 + self.k),
+    "vector": ({"k": [0.4, 3.0, 0.0]}, lambda self: self.k.y),
+    "axis": ({"k": [0.0, 0.6, 0.8]}, lambda self: 3 + self.k.y),
+}
+
+
+@pytest.mark.parametrize("follows", [True, False])
+@pytest.mark.parametrize("kind", KINDS)
+def test_parameters_of_any_value_are_changed(kind, follows):
+    values, power = KINDS[kind]
+
+    def changed(self, keys):  # noqa: ARG001
+        if follows:
+            self.refresh()
+
+    judged = verdict(
+        values=values, power=power, share=lambda _: 0.4, parameters_changed=changed
+    )
+    found = judged["parameters"]
+    assert (found.status == "holds") == follows, str(judged)
+    if not follows:
+        assert found.mistake == "`pdf` does not follow a change of k"
+
+
+def test_of_many_parameters_some_are_changed_alone():
+    """Each of few; of many no more than the bound."""
+    for n in (2, MAX_ALONE, MAX_ALONE + 1, 10 * MAX_ALONE):
+        few = parameters.few({f"k{i}": 3.0 for i in range(n)})
+        assert min(n, MAX_ALONE) / 2 <= len(few) <= MAX_ALONE
+        assert len(few) == n or n > MAX_ALONE
+
+
+class Half(Mixed):
+    """Reflects 2 p - 1 for p from 0.5 to 1."""
+
+    values = {"p": 0.8}
+    stale = False
+
+    def share(self):
+        return 0.4
+
+    def power(self):
+        return 3.0
+
+    def eval(self, *arguments):
+        return Mixed.eval(self, *arguments) * (2 * self.p - 1)
+
+    def sample(self, *arguments):
+        bs, weight = Mixed.sample(self, *arguments)
+        if self.stale:
+            weight = mi.Spectrum(0.7 * 0.6) & (weight != 0)
+        return bs, weight
+
+
+class Linear(Mixed):
+    """Its density is a mixture of share 1 - b/2, which is negative beyond b = 2."""
+
+    values = {"b": 1.6}
+    stale = False
+
+    def share(self):
+        return 1 - self.b / 2
+
+    def power(self):
+        return 2.0
+
+    def pdf(self, ctx, si, wo, active):
+        b = self.b
+        if self.stale:
+            self.b = mi.Float(1.6)
+        found = Mixed.pdf(self, ctx, si, wo, active)
+        self.b = b
+        return found
+
+
+@pytest.mark.parametrize("stale", [False, True])
+@pytest.mark.parametrize("base", [Half, Linear])
+def test_a_change_out_of_range_proves_nothing(base, stale):
+    """The twin does not follow a change within the range either."""
+    judged = verdict(base, stale=stale)
+    found = judged["parameters"]
+    assert (found.status == "holds") != stale, str(judged)
+    if stale:
+        assert "does not follow a change of" in found.mistake
+
+
+@pytest.mark.parametrize("follows", [True, False])
+def test_a_phase_function_follows_a_negative_parameter(follows):
+    class Backward(mi.PhaseFunction):
+        def __init__(self, props):
+            mi.PhaseFunction.__init__(self, props)
+            self.m_flags = mi.PhaseFunctionFlags.Anisotropic
+            self.m_components = [self.m_flags]
+            self.g = mi.Float(-0.6)
+            self.inner = mi.load_dict({"type": "hg", "g": -0.6})
+            self.stale = mi.load_dict({"type": "hg", "g": -0.6})
+
+        def traverse(self, callback):
+            callback.put("g", self.g, mi.ParamFlags.Differentiable)
+
+        def parameters_changed(self, keys):  # noqa: ARG002
+            for phase in (self.inner, self.stale)[: 1 + follows]:
+                params = mi.traverse(phase)
+                params["g"] = self.g
+                params.update()
+
+        def sample(self, *arguments):
+            return self.stale.sample(*arguments)
+
+        def eval_pdf(self, *arguments):
+            return self.inner.eval_pdf(*arguments)
+
+        def to_string(self):
+            return "Backward[]"
+
+    mi.register_phase("backward", Backward)
+    found = validate({"type": "backward"}, effort="quick")["parameters"]
+    assert (found.status == "holds") == follows
