@@ -6,7 +6,7 @@ Whatever a plugin does wrong there is raised as a :class:`PluginFault`.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, TypeAlias
 
 import drjit as dr
@@ -241,6 +241,15 @@ def changed(bsdf: mi.BSDF, values: Mapping[str, Any]) -> Iterator[None]:
         yield
     finally:
         _assign(params, before)
+
+
+def update(bsdf: mi.BSDF, names: Iterable[str]) -> None:
+    """Tell a BSDF that parameters have changed, whether they have or not."""
+    params = traversed(bsdf)
+    for name in names:
+        params.set_dirty(name)
+    with blamed("parameters_changed"):
+        params.update()
 
 
 def _assign(params: Any, values: Mapping[str, Any]) -> None:

@@ -4,7 +4,7 @@ import drjit as dr
 import mitsuba as mi
 import pytest
 
-from gonio_mi.validation import validate
+from gonio_mi.validation import reproducer, validate
 from gonio_mi.validation.checks import parameters
 from gonio_mi.validation.checks.parameters import MAX_ALONE
 
@@ -83,6 +83,12 @@ def verdict(base=Mixed, **changes):
     return validate({"type": "changing"}, effort="quick", strict=True)
 
 
+def fixed(self, callback):
+    """Parameters without gradients."""
+    for name in self.values:
+        callback.put(name, getattr(self, name), mi.ParamFlags.NonDifferentiable)
+
+
 KINDS = {
     "positive": ({"k": 3.0}, lambda self: self.k),
     "negative": ({"k": -1.1}, lambda self: dr.exp(-self.k)),
@@ -108,6 +114,52 @@ def test_parameters_of_any_value_are_changed(kind, follows):
     assert (found.status == "holds") == follows, str(judged)
     if not follows:
         assert found.mistake == "`pdf` does not follow a change of k"
+
+
+@pytest.mark.parametrize("asked", ["a", "k"])
+def test_a_parameter_that_is_followed_beside_others_only(asked):
+    """The twin asks for the key of the parameter that matters."""
+
+    def changed(self, keys):
+        if asked in keys:
+            self.refresh()
+
+    judged = verdict(parameters_changed=changed)
+    found = judged["parameters"]
+    assert (found.status == "holds") == (asked == "k"), str(judged)
+    if found.status == "fails":
+        assert found.mistake == "`pdf` does not follow a change of k alone"
+        assert "params.update()" in reproducer(judged, "parameters")
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.9])
+def test_an_update_of_what_is_the_same_changes_nothing(factor):
+    def changed(self, keys):  # noqa: ARG001
+        self.refresh()
+        self.albedo = self.albedo * factor
+
+    found = verdict(parameters_changed=changed)["parameters"]
+    assert (found.status == "holds") == (factor == 1)
+    if found.status == "fails":
+        who = "`parameters_changed` changes `eval` and `sample`"
+        assert found.mistake == f"{who} where no parameter has changed"
+
+
+@pytest.mark.parametrize("refused", ["all", "other"])
+def test_an_update_that_is_refused_always(refused):
+    """The twin refuses other values only, as it may."""
+
+    def changed(self, keys):
+        if refused == "all" or self.k.numpy()[0] != 3:
+            raise ValueError(sorted(keys))
+        self.refresh()
+
+    judged = verdict(parameters_changed=changed, traverse=fixed)
+    found = judged["parameters"]
+    assert judged["answers"].status == "holds"
+    assert (found.status == "fails") == (refused == "all"), str(judged)
+    if refused == "all":
+        assert "`parameters_changed` raised ValueError" in found.mistake
 
 
 def test_of_many_parameters_some_are_changed_alone():

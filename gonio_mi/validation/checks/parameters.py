@@ -11,10 +11,20 @@ import numpy as np
 
 from ...array_types import Floats
 from ...transport.bsdf_trial import PluginFault
-from ..conditions import Condition, Effort
+from ..conditions import Condition, Effort, Sweep
 from ..evidence import BIAS, INTERFACE, MAX_P, Evidence
 from ..kinds import Kind
-from ..probe import Probe, blamed, changed, number_parameters, spectral, vectors
+from ..probe import (
+    Probe,
+    blamed,
+    changed,
+    number_parameters,
+    numbers,
+    spectral,
+    uniform,
+    update,
+    vectors,
+)
 from ..samples import Samples, is_many, unequal
 from . import answers
 from .agreement import check_sweep
@@ -25,8 +35,8 @@ GOLDEN = (5**0.5 - 1) / 2
 # Largest and smallest relative steps that all functions must follow, or steps of a 0.
 FAR, NEAR = 0.5, 2.0**-4
 
-# Parameters that are changed alone.
-MAX_ALONE = 8
+# Parameters that are changed alone, and rays that tell whether all functions follow.
+MAX_ALONE, N_UPDATED = 8, 2**10
 
 # How near to 1 the length of a direction is.
 UNIT = 1e-4
@@ -71,6 +81,7 @@ def check_changes(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> Non
     values = _changeable(evidence.bsdf)
     if not values:
         return
+    _check_updates(evidence, values, sides)
     others = {name: _other(value) for name, value in values.items()}
     after = _after(evidence, plan, sides, others)
     if after is not None and not _biases(after):
@@ -95,6 +106,57 @@ def check_changes(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> Non
             evidence.test("parameters", min(1.0, p), text, about=name)
             evidence.suspects["parameters"] = function, mistake
         return
+
+
+def _check_updates(
+    evidence: Evidence, values: dict[str, Any], sides: Sequence[str]
+) -> None:
+    """Check that an update of all parameters changes nothing that needs no change.
+
+    Neither at first, nor after one parameter got another value, in its range or not.
+    """
+    bsdf = evidence.bsdf
+    sweep = Sweep(side=sides[0], both=len(sides) > 1, n=N_UPDATED)
+    probe, random = Probe(bsdf, sweep), uniform(sweep.n, (evidence.seed, 5))
+    wo = spectral(probe.sample(*random)[0].wo, sweep.n)
+
+    def asked() -> dict[str, Floats]:
+        """Of each function, shape (n, ...)."""
+        bs, weight = probe.sample(*random)
+        pdf, drawn = numbers(bs.pdf, sweep.n), spectral(bs.wo, sweep.n)
+        found = np.column_stack([pdf, drawn, spectral(weight, sweep.n)])
+        found[~found[:, 4:].any(axis=1)] = 0  # no sample
+        return {"eval": probe.values(wo), "pdf": probe.densities(wo), "sample": found}
+
+    names = few(values) if len(values) > 1 else ()
+    for name in ("", *names):
+        others = {name: _other(values[name])} if name else {}
+        try:
+            with changed(bsdf, others):
+                before = asked()
+                update(bsdf, values)
+                after = asked()
+        except PluginFault as fault:
+            if name:
+                continue  # a value that is refused
+            function, text, kind = fault.function, str(fault), Kind.RAISES
+            evidence.breach("parameters", function, text, text, kind=kind)
+            return
+        own = [
+            function
+            for function, answer in before.items()
+            if is_many(unequal(answer, after[function], 0.0))
+        ]
+        if own:
+            who = "` and `".join(own)
+            function = "parameters_changed"
+            mistake = f"`{function}` changes `{who}` where no parameter has changed"
+            if name:
+                function, does = own[0], "does" if len(own) == 1 else "do"
+                mistake = f"`{who}` {does} not follow a change of {name} alone"
+            text = f"another answer after an update of all parameters, at {sweep}"
+            evidence.breach("parameters", function, text, mistake, size=3.0, about=name)
+            return
 
 
 def _changeable(bsdf: mi.BSDF) -> dict[str, Any]:
