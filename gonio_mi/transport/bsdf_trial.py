@@ -66,12 +66,12 @@ def checked_sample(function: str, answer: Any, n: int) -> tuple[Any, Any]:
 
 
 def checked_parts(function: str, answer: Any, n: int) -> tuple[Any, ...]:
-    """Answer that must be a tuple of `n`."""
-    if not isinstance(answer, tuple) or len(answer) != n:
+    """Answer that must be a tuple of `n`, or a list, which Mitsuba takes, too."""
+    if not isinstance(answer, (tuple, list)) or len(answer) != n:
         raise PluginFault(
             function, f"must return a tuple of {n} values, got {_kind(answer)}"
         )
-    return answer
+    return tuple(answer)
 
 
 def checked_answer(function: str, value: Any, n: int, kind: Any) -> Any:

@@ -151,7 +151,7 @@ class Probe:
         calls two functions there, whose kernels exist already.
         """
         answer = self._asked(function, *arguments, **options)
-        joint = function == "eval_pdf_sample" and isinstance(answer, tuple)
+        joint = function == "eval_pdf_sample" and isinstance(answer, (tuple, list))
         with blamed(function):
             for part in (answer[:2], answer[2:]) if joint else (answer,):
                 dr.eval(part)

@@ -10,9 +10,11 @@ import drjit as dr
 import mitsuba as mi
 import pytest
 
+from gonio_mi.transport.bsdf_trial import PluginFault
 from gonio_mi.validation import reproducer, validate
 from gonio_mi.validation.checks import cost
 from gonio_mi.validation.conditions import PLACES, Condition
+from gonio_mi.validation.probe import Probe, uniform
 
 ALBEDO = 0.5
 HARMLESS = "interface only (no effect on images)"
@@ -125,6 +127,24 @@ class Normal(Matte):
 def test_one_direction_may_be_that_of_all_rays():
     found = verdict(Normal)["delta"]
     assert "is not that of a mirror" in found.mistake
+
+
+@pytest.mark.parametrize("kind", [list, iter])
+def test_answers_may_be_lists(kind):
+    """As Mitsuba takes them; an iterator it refuses."""
+
+    def eval_pdf(self, *asked):
+        return kind((self.eval(*asked), self.pdf(*asked)))
+
+    def sample(self, *asked):
+        return kind(Matte.sample(self, *asked))
+
+    bsdf = mi.load_dict(specimen(Matte, sample=sample, eval_pdf=eval_pdf))
+    caller = Probe(mi.load_dict({"type": "mask", "bsdf": bsdf}), Condition(40.0))
+    takes = contextlib.nullcontext() if kind is list else pytest.raises(PluginFault)
+    with takes:
+        caller.sample(*uniform(8, (0,)))
+    assert validate(bsdf, effort="quick").passed == (kind is list)
 
 
 @pytest.mark.parametrize("kept", [True, False])
