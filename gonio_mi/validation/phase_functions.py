@@ -160,6 +160,7 @@ def _check_maps(
             weights.check_maps(evidence, maps)
             _check_normalised(evidence, maps)
     weights.check_pooled(evidence)
+    sampling.check_roulette(evidence)
     if len(evidence.maps) < len(conditions):
         _check_rings(evidence)
 

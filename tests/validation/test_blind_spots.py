@@ -491,3 +491,32 @@ def test_a_phase_function_that_loses_light_is_told_so():
     mi.register_phase("lossy_phase", Lossy)
     found = validate({"type": "lossy_phase"}, effort="quick")
     assert found.mistake == "`eval` loses light: 0.97 of it leaves"
+
+
+@pytest.mark.parametrize("kept", [0.5, 0.6])
+def test_a_roulette_of_a_phase_function_adds_noise(kept):
+    """Its weight is 2; the twin's, for it rejects less, is too much."""
+
+    class Rejecting(mi.PhaseFunction):
+        def __init__(self, props):
+            mi.PhaseFunction.__init__(self, props)
+            self.m_flags = mi.PhaseFunctionFlags.Anisotropic
+            self.m_components = [self.m_flags]
+            self.inner = mi.load_dict({"type": "hg", "g": 0.6})
+
+        def sample(self, ctx, mei, sample1, *others):
+            wo, weight, pdf = self.inner.sample(ctx, mei, sample1, *others)
+            return wo, weight * dr.select(sample1 < kept, 2.0, 0.0), pdf
+
+        def eval_pdf(self, *arguments):
+            return self.inner.eval_pdf(*arguments)
+
+        def to_string(self):
+            return "Rejecting[]"
+
+    mi.register_phase("rejecting", Rejecting)
+    judged = validate({"type": "rejecting"}, effort="quick")
+    assert judged.passed == (kept == 0.5), str(judged)
+    if judged.passed:
+        assert judged["sampling"].effect == "adds noise"
+        assert "Russian roulette of its own" in judged.mistake
