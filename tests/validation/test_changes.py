@@ -2,6 +2,7 @@
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 import pytest
 
 from gonio_mi.validation import reproducer, validate
@@ -256,3 +257,63 @@ def test_a_phase_function_follows_a_negative_parameter(follows):
     mi.register_phase("backward", Backward)
     found = validate({"type": "backward"}, effort="quick")["parameters"]
     assert (found.status == "holds") == follows
+
+
+# ----------------------------------------------------------------------- gradients
+
+
+class Factor(Mixed):
+    """The mixture times a factor, found in a number, a table or a texture."""
+
+    kinds = {
+        "one": lambda: mi.Float(1.0),
+        "colour": lambda: mi.Color3f(1.0, 0.5, 0.2),
+        "table": lambda: mi.TensorXf(np.float32([0.3, 0.5, 0, 1])),
+        "texture": lambda: mi.load_dict(
+            {
+                "type": "bitmap",
+                "raw": True,
+                "bitmap": mi.Bitmap(np.full((4, 4, 1), 0.5, np.float32)),
+            }
+        ),
+    }
+    wrong, kind = False, "one"
+
+    def __init__(self, props):
+        self.values = {}
+        Mixed.__init__(self, props)
+        self.values, self.t = {"t": None}, self.kinds[self.kind]()
+
+    def share(self):
+        return 0.4
+
+    def power(self):
+        return 3.0
+
+    def factor(self, si, wo):
+        if self.kind == "texture":
+            return self.t.eval_1(si)
+        if self.kind == "table":
+            return dr.gather(mi.Float, self.t.array, mi.UInt32(wo.z > 0.5))
+        return self.t
+
+    def eval(self, ctx, si, wo, active):
+        factor = self.factor(si, wo)
+        if self.wrong and self.kind == "colour":
+            factor = dr.replace_grad(factor, mi.Color3f(factor.z, factor.y, factor.x))
+        elif self.wrong:
+            factor = dr.detach(factor)
+        return Mixed.eval(self, ctx, si, wo, active) * mi.Spectrum(factor)
+
+
+@pytest.mark.parametrize("wrong", [False, True])
+@pytest.mark.parametrize("kind", ["one", "colour", "table", "texture"])
+def test_gradients_of_numbers_colours_and_tables(kind, wrong, request):
+    """Detached ones, and those of red and blue exchanged."""
+    request.getfixturevalue("rgb" if kind == "colour" else "mono")
+    judged = verdict(Factor, kind=kind, wrong=wrong)
+    found = judged["parameters"]
+    assert (found.status == "fails") == wrong, str(judged)
+    if wrong:
+        name = "t.data" if kind == "texture" else "t"
+        assert found.mistake == f"gradients of `eval` by {name} are not its changes"
