@@ -168,6 +168,27 @@ def test_arguments_may_be_changed_in_place(kept):
         assert not judged["answers"].statistic, str(judged)
 
 
+@pytest.mark.parametrize("kept", [True, False])
+def test_time_is_that_of_one_call(kept):
+    """Not of all changes in place before; the twin keeps a direction of its own."""
+    own = dr.opaque(mi.Vector3f, [0, 0, 1], cost.N_RAYS)
+
+    def evaluate(self, ctx, si, wo, active):  # noqa: ARG001
+        wi = si.wi if kept else own
+        wi.z = dr.sqrt(wi.z)
+        return mi.Spectrum(wi.z + wo.z) & active
+
+    call = cost._call(mi.load_dict(specimen(Matte, eval=evaluate)), Condition(40.0))
+    call()
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        call()
+        hashes = {k["hash"] for k in dr.kernel_history() if "cache_hit" in k}
+        call()
+        again = {k["hash"] for k in dr.kernel_history() if "cache_hit" in k}
+    assert (hashes == again) == kept
+
+
 # ------------------------------------------------------------------------ both modes
 
 

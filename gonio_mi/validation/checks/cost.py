@@ -98,9 +98,13 @@ def _call(bsdf: mi.BSDF, condition: Condition) -> Callable[[], None]:
 
     def call() -> None:
         """Sample and evaluate once."""
-        # all in one kernel, as an integrator has it
-        bs, weight = bsdf.sample(ctx, si, sample1, sample2, True)
-        values = (f(ctx, si, bs.wo, True) for f in (bsdf.eval, bsdf.pdf))
+        # all in one kernel, as an integrator has it; each may change its copies
+        copy = mi.SurfaceInteraction3f
+        random = mi.Float(sample1), mi.Point2f(sample2)
+        bs, weight = bsdf.sample(ctx, copy(si), *random, True)
+        values = (
+            f(ctx, copy(si), mi.Vector3f(bs.wo), True) for f in (bsdf.eval, bsdf.pdf)
+        )
         dr.eval(weight, bs, *values)
         dr.sync_thread()
 
