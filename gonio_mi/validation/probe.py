@@ -237,10 +237,10 @@ def changed(bsdf: mi.BSDF, values: Mapping[str, Any]) -> Iterator[None]:
     params = traversed(bsdf) if values else {}
     before = {name: type(params[name])(params[name]) for name in values}
     try:
-        _assign(params, values)
+        assign(params, values)
         yield
     finally:
-        _assign(params, before)
+        assign(params, before)
 
 
 def update(bsdf: mi.BSDF, names: Iterable[str]) -> None:
@@ -252,7 +252,8 @@ def update(bsdf: mi.BSDF, names: Iterable[str]) -> None:
         params.update()
 
 
-def _assign(params: Any, values: Mapping[str, Any]) -> None:
+def assign(params: Any, values: Mapping[str, Any]) -> None:
+    """Give parameters that were traversed other values, by name."""
     for name, value in values.items():
         params[name] = value
     if values:

@@ -16,6 +16,7 @@ from ..evidence import BIAS, INTERFACE, MAX_P, Evidence
 from ..kinds import Kind
 from ..probe import (
     Probe,
+    assign,
     blamed,
     changed,
     number_parameters,
@@ -84,7 +85,9 @@ def check_changes(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> Non
     values = _changeable(evidence.bsdf)
     if not values:
         return
-    _check_updates(evidence, values, sides)
+    # those in C++ may rebuild tables at each update, which takes longer than all else
+    if type(evidence.bsdf) is not mi.BSDF or plan != Effort.named("quick"):
+        _check_updates(evidence, values, sides)
     others = {name: _other(value) for name, value in values.items()}
     after = _after(evidence, plan, sides, others)
     if after is not None and not _biases(after):
@@ -303,23 +306,23 @@ def _check_gradient(
     value = kind(np.float32(x))
 
     def answer(step: float) -> Floats:
-        with changed(bsdf, {name: kind(value + step * size * slope)}):
-            return spectral(Probe(bsdf, condition).eval(wo), dr.width(wo))
+        assign(params, {name: kind(value + step * size * slope)})
+        return spectral(Probe(bsdf, condition).eval(wo), dr.width(wo))
 
-    pairs = [(answer(h), answer(-h), 2 * h * size) for h in STEPS]
+    along = mi.Float(0)
+    dr.enable_grad(along)
+    with changed(bsdf, {name: value}):  # once there and back: updates may take long
+        here = spectral(Probe(bsdf, condition).eval(wo), dr.width(wo))
+        pairs = [(answer(h), answer(-h), 2 * h * size) for h in STEPS]
+        assign(params, {name: kind(value + along * slope)})
+        gradient = _gradient(bsdf, condition, along, wo)
     coarse, middle, fine = ((above - below) / width for above, below, width in pairs)
     # each value is known to some roundings
     noise = N_ROUNDINGS * np.finfo(np.float32).eps * (pairs[-1][0] + pairs[-1][1])
     changes = np.abs(fine - middle) + np.abs(middle - coarse)
     slack = STEP_SLACK * changes + noise / pairs[-1][2]
-    along = mi.Float(0)
-    dr.enable_grad(along)
-    gradient = _gradient(
-        bsdf, condition, along, {name: kind(value + along * slope)}, wo
-    )
     wrong = ~(np.abs(gradient - fine) <= slack)
     # where the smallest step changes much, differences know nothing of the slope
-    here = answer(0.0)
     wrong &= np.all(
         [np.abs(x - here) <= MAX_CHANGE * here for x in pairs[-1][:2]], axis=0
     )
@@ -343,16 +346,11 @@ def _check_gradient(
 
 
 def _gradient(
-    bsdf: mi.BSDF,
-    condition: Condition,
-    variable: mi.Float,
-    values: dict[str, Any],
-    wo: mi.Vector3f,
+    bsdf: mi.BSDF, condition: Condition, variable: mi.Float, wo: mi.Vector3f
 ) -> Floats:
-    """Derivatives of ``eval`` by what new values depend on, shape (n, channels)."""
-    with changed(bsdf, values):
-        answer = Probe(bsdf, condition).eval(wo)
-        with blamed("eval"):
-            flags = dr.ADFlag.Default | dr.ADFlag.AllowNoGrad
-            dr.forward(variable, flags=flags)
-        return spectral(dr.grad(answer), dr.width(wo))
+    """Derivatives of ``eval`` by what a parameter depends on, shape (n, channels)."""
+    answer = Probe(bsdf, condition).eval(wo)
+    with blamed("eval"):
+        flags = dr.ADFlag.Default | dr.ADFlag.AllowNoGrad
+        dr.forward(variable, flags=flags)
+    return spectral(dr.grad(answer), dr.width(wo))
