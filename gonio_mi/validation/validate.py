@@ -276,7 +276,7 @@ def _check_samples(
     eval_pdf.check_lattice(evidence, Probe(evidence.bsdf, condition))
     ways = reciprocity.both_ways(samples)
     if ways is not None:
-        ways = directions.check_eta(evidence, ways)
+        ways = reciprocity.dispersed(directions.check_eta(evidence, ways))
         reciprocity.check_ways(evidence, ways)
         adjoint.check_ways(evidence, ways)
     for lobe in delta.lobes_of(evidence, samples):

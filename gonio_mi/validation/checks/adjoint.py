@@ -10,6 +10,7 @@ import numpy as np
 from ...array_types import Flags
 from ..evidence import BIAS, BREAKS, Evidence
 from ..kinds import Kind
+from ..probe import WAVELENGTHS_NM
 from ..samples import is_many, samples_of, unequal
 from .delta import Lobe
 from .reciprocity import BothWays, is_constant, ratio_text
@@ -32,16 +33,41 @@ def check_ways(evidence: Evidence, ways: BothWays) -> None:
     wrong = unequal(ways.forward, ways.adjoint, slack)
     wrong &= ways.smooth & (here | (reciprocal & there))
     if is_many(wrong):
-        of_radiance = reciprocal[wrong].mean() > 0.5
+        of_others = _mistake_of_wavelengths(ways, wrong)
+        of_radiance = reciprocal[wrong].mean() > 0.5 and not of_others
         evidence.breach(
             "adjoint",
             "eval",
             ratio_text(ways.forward, ways.adjoint, wrong, samples),
-            _mistake(ways, wrong, of_radiance),
+            of_others or _mistake(ways, wrong, of_radiance),
             samples.condition,
             size=float(wrong.mean()),
             effect=BIAS if of_radiance else BREAKS,
         )
+
+
+def _mistake_of_wavelengths(ways: BothWays, wrong: Flags) -> str:
+    """Mistake of other wavelengths than the first in transmission; empty if it is not.
+
+    Their indices are not known, nor which of the modes is wrong.
+    """
+    samples = ways.samples
+    first = unequal(ways.forward[:, 0], ways.adjoint[:, 0], ways.slack[:, 0])
+    if not mi.is_spectral or is_many(first & wrong) or samples.reflected[wrong].any():
+        return ""
+    by_way, by_mode = (
+        np.median(here[wrong] / np.maximum(other[wrong], 1e-30), axis=0)
+        for here, other in (
+            (ways.forward, ways.backward),
+            (samples.eval, samples.other_mode),
+        )
+    )
+    k = int(np.abs(by_way - by_mode).argmax())
+    return (
+        f"`eval` at {WAVELENGTHS_NM[k]:g} nm transmits {by_way[k]:.4g} times what it "
+        f"does the other way, and {by_mode[k]:.4g} times what it does in radiance "
+        "mode, where both are eta^2 of that wavelength"
+    )
 
 
 def _mistake(ways: BothWays, wrong: Flags, of_radiance: bool) -> str:

@@ -12,10 +12,7 @@ from ...single_precision import BSDF_ROUNDING
 from ..evidence import INTERFACE, NOISE, Evidence
 from ..kinds import Kind
 from ..samples import Samples, is_many, unequal
-from .reciprocity import BothWays, is_constant
-
-# Relative difference of two squared indices that are the same.
-MAX_OFF = 1e-3
+from .reciprocity import MAX_OFF, BothWays, is_constant
 
 # Why a type is wrong, if all else agrees.
 AGREED = "as `eval` has it: a type or a side is declared wrongly"
@@ -78,12 +75,16 @@ def check_eta(evidence: Evidence, ways: BothWays) -> BothWays:
     """
     samples = ways.samples
     through = ways.smooth & ~samples.reflected
-    others = ways.backward.sum(axis=1), samples.other_mode.sum(axis=1)
+    # of several wavelengths eta is that of the first
+    first = slice(1 if mi.is_spectral else None)
+    others = [x[:, first].sum(axis=1) for x in (ways.backward, samples.other_mode)]
     through &= (others[0] > 0) & (others[1] > 0)
     if not is_many(through) or evidence.of("sampled_weight"):
         return ways
-    by_way = ways.ratio(ways.backward, through)
-    by_mode = samples.eval[through].sum(axis=1) / others[1][through]
+    by_way, by_mode = (
+        here[through, first].sum(axis=1) / other[through]
+        for here, other in zip((ways.forward, samples.eval), others)
+    )
     if not (is_constant(by_way) and is_constant(by_mode)):
         return ways
     due, other = float(np.median(by_way)), float(np.median(by_mode))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import mitsuba as mi
@@ -20,6 +20,9 @@ from .delta import DIRECTION_ROUNDING, Lobe
 # Rounding of a squared cosine that is found from sines: of four products.
 SQUARE_ROUNDING = 2.0**-22
 
+# Relative difference of two squared indices that are the same.
+MAX_OFF = 1e-3
+
 
 @dataclass(frozen=True)
 class BothWays:
@@ -32,7 +35,7 @@ class BothWays:
         Where all are finite.
     forward, backward, adjoint, slack : ndarray, shape (n, channels)
         f there, back, and back in radiance mode.
-    eta2 : ndarray, shape (n, 1)
+    eta2 : ndarray, shape (n, 1) or (n, channels)
         Square of the sample's relative index of refraction; 1 for a reflection.
     """
 
@@ -71,6 +74,28 @@ def both_ways(samples: Samples) -> BothWays | None:
         # reflection has no index, whatever a plugin says
         np.where(samples.reflected, 1.0, samples.eta**2)[:, None],
     )
+
+
+def dispersed(ways: BothWays) -> BothWays:
+    """Values with an index of each wavelength, as light passes each way.
+
+    ``bs.eta`` is that of the first. Where the ratio of both ways is constant for
+    another, it may be the square of its own index: nothing else tells that.
+    """
+    through = ways.smooth & ~ways.samples.reflected
+    eta2 = np.broadcast_to(ways.eta2, ways.forward.shape).copy()
+    for channel in range(eta2.shape[1] if mi.is_spectral else 0):
+        there, back = ways.forward[:, channel], ways.backward[:, channel]
+        lit = through & (there > 0) & (back > 0)
+        constant = is_many(lit) and is_constant(there[lit] / back[lit])
+        own = np.median(there[lit] / back[lit]) if constant else 0.0
+        if channel > 0 and constant:
+            eta2[through, channel] = own
+        elif channel == 0:
+            known = constant and abs(own / np.median(eta2[lit, 0]) - 1) < MAX_OFF
+            if not known:
+                return ways  # nothing to compare, or wrong for `bs.eta`
+    return replace(ways, eta2=eta2)
 
 
 def check_ways(evidence: Evidence, ways: BothWays) -> None:
