@@ -37,14 +37,19 @@ def each(values: str) -> str:
     return f"np.mean(np.atleast_2d({values}), axis=0)"
 
 
+def channels(values: str) -> str:
+    """Expression of numbers of each channel and sample."""
+    return f"np.atleast_1d({values})"
+
+
 def by_sample(a: str, b: str, which: str = SMOOTH) -> str:
-    """Lines that compare two numbers of each sample."""
+    """Lines that compare two numbers of each sample, or of each channel of it."""
     given = [f"{name} = {x}\n" for name, x in (("a", a), ("b", b)) if name != x]
     return f"""\
 {"".join(given)}counts = {which}
 a, b, counts, _ = np.broadcast_arrays(a, b, counts, u[0])  # one of each sample
 off = np.abs(np.where(counts, a - b, 0)) / np.fmax(np.fmax(abs(a), abs(b)), 1e-30)
-k = np.argsort(off)[-n // 1000]  # one sample in a thousand is farther off
+k = np.unravel_index(np.argsort(off, axis=None)[-n // 1000], off.shape)  # of the worst
 print(f"{{a[k]:.6g}} and {{b[k]:.6g}}: {{off[k] / ROUNDING:.3g}} roundings")"""
 
 
@@ -90,16 +95,17 @@ a, b, error = np.transpose([a, b, error])[np.argmax(np.abs(a - b) / error)]
 {SCORED}"""
 
 
-VALUE, PDF = each("bsdf.eval(ctx, si, bs.wo, True)"), "bsdf.pdf(ctx, si, bs.wo, True)"
-PRODUCT = f"{each('weight')} * {PDF}"
+VALUE = channels("bsdf.eval(ctx, si, bs.wo, True)")
+PDF = "bsdf.pdf(ctx, si, bs.wo, True)"
+PRODUCT = f"{channels('weight')} * {PDF}"
 
 # The way back.
 BACK = """\
 back = dr.zeros(mi.SurfaceInteraction3f, n)
-back.wi, back.sh_frame, back.uv = bs.wo, si.sh_frame, si.uv
+back.wi, back.sh_frame, back.uv, back.p = bs.wo, si.sh_frame, si.uv, si.p
 """
 THERE = f"{VALUE} / np.abs(bs.wo.z)"
-AGAIN = f"{each('bsdf.eval(ctx, back, si.wi, True)')} / np.abs(si.wi.z)"
+AGAIN = f"{channels('bsdf.eval(ctx, back, si.wi, True)')} / np.abs(si.wi.z)"
 STEEP = f"{SMOOTH} & (dr.abs(bs.wo.z) > 1e-3)"
 RELATIVE_ETA = "eta = np.where(bs.wo.z * si.wi.z < 0, bs.eta, 1)\n"
 
@@ -142,20 +148,22 @@ x = np.concatenate([np.ravel(ABOUT) for wo in (bs.wo, SPHERE)])
 {IMPROPER}"""
     RAISES = "answer = FUNCTION\nprint(type(answer), answer, mi.traverse(bsdf))"
     OTHER_WHEN_CALLED_AGAIN = (
-        f"a = {each('FUNCTION')}\n"
+        f"a = {channels('FUNCTION')}\n"
         "dr.eval(bsdf.sample(ctx, si, mi.Float(u[1]), mi.Point2f(u[:2]), True))\n"
-        "dr.eval(bsdf.eval(ctx, si, SPHERE, True))\n" + by_sample("a", each("FUNCTION"))
+        "dr.eval(bsdf.eval(ctx, si, SPHERE, True))\n"
+        + by_sample("a", channels("FUNCTION"))
     )
     OTHER_IN_ANOTHER_PLACE = f"""\
-a = {each("FUNCTION")}
-u, bs.wo = u[:, ::-1], dr.gather(mi.Vector3f, bs.wo, n - 1 - dr.arange(mi.UInt32, n))
-{by_sample("a", each("FUNCTION") + "[::-1]")}"""
+si.wi = dr.mulsign(mi.warp.square_to_cosine_hemisphere(mi.Point2f(u[1:])), si.wi.z)
+a, i = {channels("FUNCTION")}, n - 1 - dr.arange(mi.UInt32, n)
+u, si.wi, bs.wo = u[:, ::-1], *(dr.gather(mi.Vector3f, x, i) for x in (si.wi, bs.wo))
+{by_sample("a", channels("FUNCTION") + "[..., ::-1]")}"""
     OTHER_IN_THE_WORLD = f"""\
-a = {each("TURNED")}
+a = {channels("TURNED")}
 si.sh_frame = mi.Frame3f([0, 0, 1])
-{by_sample("a", each("TURNED"))}"""
+{by_sample("a", channels("TURNED"))}"""
     ALBEDO = by_sample(
-        each("bsdf.eval_diffuse_reflectance(si, True)"), f"np.pi * {THERE}", STEEP
+        channels("bsdf.eval_diffuse_reflectance(si, True)"), f"np.pi * {THERE}", STEEP
     )
     DIRECTIONS = f"""\
 through = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Transmission) & {LIT}
@@ -174,24 +182,26 @@ a, b = np.sum(through), np.sum((bs.wo.z * si.wi.z < 0) & {LIT})
     SAMPLED_PDF = by_sample("bs.pdf", PDF)
     SAMPLED_WEIGHT = by_sample(PRODUCT, VALUE)
     EVAL_PDF = "wo = bs.wo\n" + by_sample(
-        each("bsdf.eval_pdf(ctx, si, wo, True)[INDEX]"),
-        each("bsdf.ABOUT(ctx, si, wo, True)"),
+        channels("bsdf.eval_pdf(ctx, si, wo, True)[INDEX]"),
+        channels("bsdf.ABOUT(ctx, si, wo, True)"),
     )
     EVAL_PDF_ANYWHERE = "wo = SPHERE\n" + by_sample(
-        each("bsdf.eval_pdf(ctx, si, wo, True)[INDEX]"),
-        each("bsdf.ABOUT(ctx, si, wo, True)"),
+        channels("bsdf.eval_pdf(ctx, si, wo, True)[INDEX]"),
+        channels("bsdf.ABOUT(ctx, si, wo, True)"),
         "a + b > 0",
     )
     EVAL_PDF_SAMPLE = "wo = bs.wo\n" + by_sample(
-        each("bsdf.eval_pdf_sample(ctx, si, wo, RANDOM)[INDEX]"),
-        each("bsdf.ABOUT(ctx, si, wo, True)"),
+        channels("bsdf.eval_pdf_sample(ctx, si, wo, RANDOM)[INDEX]"),
+        channels("bsdf.ABOUT(ctx, si, wo, True)"),
     )
     OTHER_SAMPLES = "other = bsdf.eval_pdf_sample(ctx, si, bs.wo, RANDOM)[3]\n" + (
-        by_sample(each("other"), each("weight"), LIT)
+        by_sample(channels("other"), channels("weight"), LIT)
     )
     # by which light passes each way
     ETA = BACK + by_sample(
-        "bs.eta**2", f"{THERE} / ({AGAIN})", f"{STEEP} & (bs.wo.z * si.wi.z < 0)"
+        "bs.eta**2",
+        f"{each(THERE)} / {each(AGAIN)}",
+        f"{STEEP} & (bs.wo.z * si.wi.z < 0)",
     )
     CONTINUITY = f"""\
 shares = []
@@ -202,14 +212,14 @@ for cosine in (0.5, 1e-3):
 a, b = shares
 {EQUAL}"""
     JUMP_AT_NORMAL = f"""\
-a = {each("FUNCTION")}
+a = {channels("FUNCTION")}
 si.wi = si.wi + mi.Vector3f(2**-16, 0, 0)
-{by_sample("a", each("FUNCTION"))}"""
+{by_sample("a", channels("FUNCTION"))}"""
     RECIPROCITY = BACK + RELATIVE_ETA + by_sample(THERE, f"{AGAIN} * eta**2", STEEP)
     SYMMETRY = """\
 back = dr.zeros(mi.SurfaceInteraction3f, n)
-back.wi, back.sh_frame = bs.wo, mi.Frame3f(bs.wo)
-""" + by_sample(VALUE, each("bsdf.eval(ctx, back, si.wi, True)"))
+back.wi, back.sh_frame, back.p = bs.wo, mi.Frame3f(bs.wo), si.p
+""" + by_sample(VALUE, channels("bsdf.eval(ctx, back, si.wi, True)"))
     RECIPROCITY_OF_A_LOBE = f"""\
 {LOBE}back = dr.zeros(mi.SurfaceInteraction3f, n)
 back.wi, back.sh_frame = mi.Vector3f(wo[:, first].tolist()), si.sh_frame
@@ -225,8 +235,8 @@ a, b, error = np.mean(x), np.mean(y), np.std(x - y) / n**0.5 + 1e-7
     ADJOINT_OF_A_LOBE = (
         f"radiance = mi.BSDFContext(mi.TransportMode.Radiance)\n{RELATIVE_ETA}"
         + by_sample(
-            each("weight"),
-            each("bsdf.sample(radiance, si, RANDOM, True)[1]") + " * eta**2",
+            channels("weight"),
+            channels("bsdf.sample(radiance, si, RANDOM, True)[1]") + " * eta**2",
             LIT,
         )
     )
@@ -251,9 +261,9 @@ for i in range(bsdf.component_count()):
         a, b = sampled, sampled & int(bsdf.flags(i))
 {SAME}"""
     DIFFERENTIALS = f"""\
-a = {each("FUNCTION")}
+a = {channels("FUNCTION")}
 si.duv_dx, si.duv_dy = mi.Vector2f(0.3, 0.1), mi.Vector2f(-0.1, 0.2)
-{by_sample("a", each("FUNCTION"))}"""
+{by_sample("a", channels("FUNCTION"))}"""
     FLAGS = f"""\
 a = int(np.bitwise_or.reduce(np.array(bs.sampled_type) * np.array({LIT})))
 b = a & int(bsdf.flags())  # what is sampled, and of that is declared
@@ -270,15 +280,15 @@ for i in range(bsdf.component_count()):
     a += np.sum(np.array(EXCLUDED & dr.any(FUNCTION != 0)))
 {SAME}"""
     ANISOTROPIC = f"""\
-a = {each("FUNCTION")}
+a = {channels("FUNCTION")}
 turn = mi.Matrix3f([[0.6, -0.8, 0], [0.8, 0.6, 0], [0, 0, 1]])
 si.wi, bs.wo = turn @ si.wi, turn @ bs.wo
-{by_sample("a", each("FUNCTION"))}"""
+{by_sample("a", channels("FUNCTION"))}"""
     COMPONENTS = f"""\
-a, b = {each("FUNCTION")}, 0
+a, b = {channels("FUNCTION")}, 0
 for i in range(bsdf.component_count()):
     ctx.component = i
-    b = b + {each("FUNCTION")}
+    b = b + {channels("FUNCTION")}
 {by_sample("a", "b")}"""
     LOBE_OF_A_COMPONENT = f"""\
 own = (np.array(bs.sampled_component) == ABOUT) & np.array({LIT})
@@ -292,7 +302,7 @@ awake = mi.Bool(np.arange(n) % 2 == 0)
 a, b = np.max(np.abs(np.array(MASKED)) * np.array(~awake)), 0
 {SAME}"""
     MASKS_OF_OTHERS = "awake = mi.Bool(np.arange(n) % 2 == 0)\n" + by_sample(
-        each("MASKED"), each("FUNCTION"), "awake"
+        channels("MASKED"), channels("FUNCTION"), "awake"
     )
     ENDS = AT_ENDS.replace("WHAT", "ABOUT") + IMPROPER
     LENGTH_AT_AN_END = (
@@ -315,6 +325,17 @@ params["ABOUT"] *= 0.5
 params.update()
 bs, weight = bsdf.sample(ctx, si, RANDOM, True)
 """ + by_sample("STALE", "DUE")
+    # over directions of the density p, the mean of u / (p + u) is that of p / (p + u)
+    # over directions of the density u
+    DENSITY_AFTER_A_CHANGE = f"""\
+params = mi.traverse(bsdf)
+params["ABOUT"] *= 0.5
+params.update()
+bs, weight = bsdf.sample(ctx, si, RANDOM, True)
+p, q = (4 * np.pi * np.array(bsdf.pdf(ctx, si, wo, True)) for wo in (bs.wo, SPHERE))
+x, y = 1 / (1 + p) * np.array({SMOOTH}), q / (1 + q)  # of one mean if p is the density
+a, b, error = np.mean(x), np.mean(y), np.std(x - y) / n**0.5 + 1e-7
+{SCORED}"""
 
 
 class MatrixKind(Enum):

@@ -22,7 +22,7 @@ from ..files import replacing
 from ..instrument.specimen_text import with_real_indices
 from ..single_precision import BSDF_ROUNDING
 from ..transport.variants import unpolarised
-from .conditions import TURN, Condition, Sweep
+from .conditions import POSITION, TURN, Condition, Sweep
 from .kinds import LIT, PDF, PRODUCT, SMOOTH, VALUE, Kind, MatrixKind, each
 from .maps import FourMaps
 from .probe import WAVELENGTHS_NM
@@ -228,6 +228,10 @@ def in_a_medium(text: str) -> str:
         (r"mi.BSDFContext\((.*?)\)", r"mi.PhaseFunctionContext(None, \1)"),
         (r"SurfaceInteraction3f", "MediumInteraction3f"),
         (r"si.wi, si.sh_frame = (.*), mi.Frame3f.*", r"si.wi = \1"),
+        (
+            r"si.uv, si.p, .*(mi.Point3f\(.*?\)), .*\n",
+            r"si.p, si.sh_frame = \1, mi.Frame3f(si.wi)\n",
+        ),
         (r"si.uv, .*\n", "si.sh_frame = mi.Frame3f(si.wi)\n"),
         (r"bs, weight = bsdf", "flight, weight, density = bsdf"),
         (r"bs\.wo", "flight"),
@@ -265,7 +269,10 @@ def _head(
     if _is_textured(verdict):
         u, v = condition.uv
         tangents = "2 * si.sh_frame.s, 2 * si.sh_frame.t"
-        yield f"si.uv, si.dp_du, si.dp_dv = mi.Point2f({u}, {v}), {tangents}"
+        p = ", si.p", f", mi.Point3f({POSITION.tolist()})"
+        name, value = p if condition.turned else ("", "")
+        uv = f"mi.Point2f({u}, {v})"
+        yield f"si.uv{name}, si.dp_du, si.dp_dv = {uv}{value}, {tangents}"
     if mi.is_spectral:
         yield f"si.wavelengths = mi.Spectrum({list(WAVELENGTHS_NM)})"
     yield "dr.make_opaque(si)"

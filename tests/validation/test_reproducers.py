@@ -1,10 +1,14 @@
+# ruff: noqa: ARG002 (every method has Mitsuba's signature)
 """Reproducers: those of the handbook still show each defect, those of findings do."""
 
 import re
 from pathlib import Path
 
 import broken_bsdfs
+import drjit as dr
 import mitsuba as mi
+import numpy as np
+import plain_bsdf
 import polarised_bsdfs
 import pytest
 from reproduced import code_of, told
@@ -134,6 +138,136 @@ def test_jump_of_matrices_is_shown_by_its_script():
     text = reproducer(verdict, "frames")
     mended = text.replace('"r_p_wrong"', '"r_p_right"')
     assert told(text) > JUMP / BSDF_ROUNDING > told(mended)
+
+
+def register_pairs():
+    """Register plugins whose mistake shows only in some answers, and right twins."""
+    plain = plain_bsdf.plain()
+
+    class Coloured(plain):
+        colours, others = (0.8, 0.5, 0.2), (0.8, 0.5, 0.2)
+
+        def value(self, ctx, si, wo):
+            return mi.Color3f(*self.colours) * dr.inv_pi * wo.z
+
+        def weight(self, ctx, si, bs):
+            return mi.Color3f(*self.others)
+
+    class OtherColours(Coloured):
+        others = (0.2, 0.5, 0.8)
+
+    class EachRay(plain):
+        def value(self, ctx, si, wo):
+            first = self.of(si.wi.z)
+            return plain.value(self, ctx, si, wo) * (0.9 + 0.2 * first)
+
+        def of(self, cosine):
+            return cosine
+
+    class FirstRay(EachRay):
+        def of(self, cosine):
+            return float(np.ravel(np.array(cosine))[0])
+
+    class Mixture(plain):
+        """Of two powers of the cosine, whose share is kept where it is `stale`."""
+
+        stale = ()
+
+        def load(self, props):
+            self.share = mi.Float(0.4)
+            self.known = mi.Float(self.share)
+
+        def traverse(self, callback):
+            callback.put("share", self.share, mi.ParamFlags.Differentiable)
+
+        def of(self, name):
+            return self.known if name in self.stale else self.share
+
+        def mixture(self, share, wo):
+            return (share + (1 - share) * 2 * wo.z**2) * dr.inv_pi * wo.z
+
+        def value(self, ctx, si, wo):
+            return mi.Spectrum(0.7 * self.mixture(self.share, wo))
+
+        def density(self, ctx, si, wo):
+            return self.mixture(self.of("pdf"), wo)
+
+        def direction(self, ctx, si, sample1, sample2):
+            z = dr.sqrt(sample2.x)
+            z = dr.select(sample1 < self.of("sample"), z, dr.sqrt(z))
+            s, c = dr.sincos(dr.two_pi * sample2.y)
+            r = dr.safe_sqrt(1 - z * z)
+            return mi.Vector3f(r * c, r * s, z)
+
+    class StalePdf(Mixture):
+        stale = ("pdf",)
+
+    class StaleSample(Mixture):
+        stale = ("sample",)
+
+    class Placed(mi.PhaseFunction):
+        """Isotropic, or to one side by the place: so say both functions."""
+
+        forgotten = False
+
+        def __init__(self, props):
+            mi.PhaseFunction.__init__(self, props)
+            self.m_flags = mi.PhaseFunctionFlags.Anisotropic
+            self.m_components = [self.m_flags]
+
+        def density(self, p, mei, wo):
+            return dr.inv_four_pi * (1 - 0.8 * dr.sin(p.x) * dr.dot(wo, mei.wi))
+
+        def sample(self, ctx, mei, sample1, sample2, active=True):
+            wo = mi.warp.square_to_uniform_sphere(sample2)
+            kept = sample1 < 0.5 * dr.four_pi * self.density(mei.p, mei, wo)
+            wo = dr.select(kept, wo, -wo)
+            return wo, mi.Spectrum(1.0), self.eval_pdf(ctx, mei, wo, active)[1]
+
+        def eval_pdf(self, ctx, mei, wo, active=True):
+            p = mi.Point3f(0) if self.forgotten else mei.p
+            pdf = self.density(p, mei, wo)
+            return mi.Spectrum(pdf), pdf
+
+        def to_string(self):
+            return "Placed[]"
+
+    class PlaceForgotten(Placed):
+        forgotten = True
+
+    plugins = [EachRay, FirstRay, Mixture, StalePdf, StaleSample]
+    plain_bsdf.register(plugins + ([Coloured, OtherColours] if mi.is_rgb else []))
+    mi.register_phase("placed", Placed)
+    mi.register_phase("place_forgotten", PlaceForgotten)
+
+
+PAIRS = {
+    "first_ray": "each_ray",
+    "stale_pdf": "mixture",
+    "stale_sample": "mixture",
+    "place_forgotten": "placed",
+}
+
+
+@pytest.mark.parametrize("name", PAIRS)
+@pytest.mark.usefixtures("mono")
+def test_what_only_some_answers_tell_is_shown(name):
+    show_worst(name, PAIRS[name])
+
+
+@pytest.mark.usefixtures("rgb")
+def test_exchanged_colours_are_shown():
+    """Their mean is the same."""
+    show_worst("other_colours", "coloured")
+
+
+def show_worst(wrong, right):
+    """The script of the worst failure shows it, and says so of a right plugin."""
+    register_pairs()
+    text = reproducer(validate({"type": wrong}, effort="quick"))
+    assert len(code_of(text)) <= 20, text
+    assert told(text) > 1, text
+    assert told(text.replace(f'"{wrong}"', f'"{right}"')) < 1, text
 
 
 @pytest.mark.parametrize("kind", [*Kind, *MatrixKind], ids=str)

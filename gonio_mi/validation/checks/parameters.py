@@ -109,7 +109,8 @@ def check_changes(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> Non
         else:
             text = min(found.tests, key=lambda test: test.p).statistic
             text, p = f"after a change of {name}: {text}", len(names) * _least_p(found)
-            evidence.test("parameters", min(1.0, p), text, about=name)
+            kind = Kind.DENSITY_AFTER_A_CHANGE
+            evidence.test("parameters", min(1.0, p), text, kind=kind, about=name)
             evidence.suspects["parameters"] = function, mistake
         return
 
