@@ -247,13 +247,9 @@ def _counts_guess(evidence: Evidence, weights_fail: bool) -> Guess:
             "sample",
             f"`sample` draws {outside:.3g} of its directions where `pdf` is 0",
         )
-    sides = zip(drawn.reshape(2, -1).sum(axis=1), due.reshape(2, -1).sum(axis=1))
-    never = sum(integral for counts, integral in sides if counts == 0)
-    if never > 1e-3:
-        return "pdf", (
-            f"`pdf` integrates to {never:.3g} on a side where `sample` never goes, "
-            f"at {maps.condition}"
-        )
+    by_side = _guess_of_a_side(evidence, maps)
+    if by_side:
+        return by_side
     distortion = _distortion(evidence, whole)
     if distortion:
         return _distortion_guess(evidence, distortion, whole, weights_fail, sums)
@@ -280,6 +276,28 @@ def _counts_guess(evidence: Evidence, weights_fail: bool) -> Guess:
     what = "lobes or directions" if len(lobes) > 1 else "directions"
     return "sample", (
         f"`sample` draws {what} with another probability than `pdf` says: {where}"
+    )
+
+
+def _guess_of_a_side(evidence: Evidence, maps: FourMaps) -> Guess | None:
+    """Function and mistake if directions never go to a side; None if they do.
+
+    ``eval`` is lit there: it is ``pdf`` only if no probability is left for that side.
+    """
+    drawn, due = maps.totals.counts.reshape(2, -1) / maps.totals.n, maps.pdf
+    never = due.reshape(2, -1)[drawn.sum(axis=1) == 0].sum()
+    if never < 1e-3:
+        return None
+    samples = samples_of(evidence.bsdf, maps.condition, N_REDRAWN, (0, 72))
+    complete = samples.given.mean() > 1 - MAX_LOST
+    if complete and due.sum() - drawn.sum() > never / 2:
+        return "pdf", (
+            f"`pdf` integrates to {never:.3g} on a side where `sample` never goes, "
+            f"at {maps.condition}"
+        )
+    return "sample", (
+        f"`sample` never goes to a side where `pdf` integrates to {never:.3g} and "
+        f"`eval` is lit, at {maps.condition}"
     )
 
 

@@ -1,0 +1,93 @@
+# ruff: noqa: ARG001, ARG002 (every method has Mitsuba's signature)
+"""Functions that disagree about a side, a place in the world, or differentials."""
+
+import drjit as dr
+import mitsuba as mi
+import plain_bsdf
+import pytest
+
+from gonio_mi.validation import validate
+
+pytestmark = pytest.mark.usefixtures("mono")
+
+
+def verdict(base, **changes):
+    mi.register_bsdf("of_places", type("Plugin", (base,), changes))
+    return validate({"type": "of_places"}, effort="quick")
+
+
+# ------------------------------------------------------------------------------- sides
+
+VEIL = 0.3
+
+
+def veiled_glass():
+    """Rough glass with holes; right if the number of the choice is `rescaled`."""
+    flags = mi.BSDFFlags
+
+    class VeiledGlass(mi.BSDF):
+        rescaled = True
+
+        def __init__(self, props):
+            super().__init__(props)
+            rough = {"type": "roughdielectric", "distribution": "ggx", "alpha": 0.3}
+            self.glass = mi.load_dict(rough)
+            null = flags.Null | flags.FrontSide | flags.BackSide
+            lobes = [self.glass.flags(0), self.glass.flags(1), int(null)]
+            self.m_components, self.m_flags = lobes, self.glass.flags() | int(null)
+
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            passes = sample1 < VEIL
+            own = (sample1 - VEIL) / (1 - VEIL) if self.rescaled else sample1
+            bs, weight = self.glass.sample(ctx, si, own, sample2, active)
+            bs.wo = dr.select(passes, -si.wi, bs.wo)
+            bs.pdf = dr.select(passes, VEIL, (1 - VEIL) * bs.pdf)
+            bs.eta = dr.select(passes, 1.0, bs.eta)
+            null = mi.UInt32(int(flags.Null))
+            bs.sampled_type = dr.select(passes, null, bs.sampled_type)
+            bs.sampled_component = dr.select(passes, 2, bs.sampled_component)
+            return bs, dr.select(passes & active, mi.Spectrum(1.0), weight)
+
+        def eval(self, *asked):
+            return (1 - VEIL) * self.glass.eval(*asked)
+
+        def pdf(self, *asked):
+            return (1 - VEIL) * self.glass.pdf(*asked)
+
+        def eval_pdf(self, *asked):
+            return self.eval(*asked), self.pdf(*asked)
+
+        def eval_null_transmission(self, si, active=True):
+            return mi.Spectrum(VEIL) & active
+
+        def to_string(self):
+            return "VeiledGlass[]"
+
+    return VeiledGlass
+
+
+def test_a_sample_that_misses_a_side_is_guilty():
+    """Where `eval` and `pdf` agree about it, and leave it its probability."""
+    base = veiled_glass()
+    assert verdict(base).passed
+    judged = verdict(base, rescaled=False)
+    assert judged.function == "sample"
+    assert judged.mistake.startswith("`sample` never goes to a side where `pdf`")
+
+
+def test_a_pdf_of_a_side_too_much_is_guilty():
+    """Matte on the lit side, of which all numbers give a direction."""
+    base = plain_bsdf.plain()
+
+    def above(self, si, wo):
+        return si.wi.z > 0
+
+    def value(self, ctx, si, wo):
+        return mi.Spectrum(0.5 * dr.inv_pi * dr.abs(wo.z))
+
+    def density(self, ctx, si, wo):
+        return dr.inv_pi * dr.select(wo.z > 0, wo.z, -0.1 * wo.z)
+
+    judged = verdict(base, above=above, value=value, density=density)
+    assert judged.function == "pdf"
+    assert "on a side where `sample` never goes" in judged.mistake
