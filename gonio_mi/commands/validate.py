@@ -157,7 +157,9 @@ def _verdict(options: argparse.Namespace, variant: str) -> Verdict:
         strict=options.strict,
         progress=options.effort != "quick",
     )
-    loading = [f"exec(open({path!r}).read())" for path in options.plugin]
+    loading = [f"runpy.run_path({path!r})" for path in options.plugin]
+    if loading:
+        loading.insert(0, "import runpy")
     source = verdict.source or source
     return replace(verdict, source=source and "\n".join([*loading, source]))
 

@@ -13,6 +13,7 @@ import polarised_bsdfs
 import pytest
 from reproduced import code_of, told
 
+from gonio_mi import cli
 from gonio_mi.errors import SettingError
 from gonio_mi.single_precision import BSDF_ROUNDING
 from gonio_mi.validation import (
@@ -295,3 +296,51 @@ def test_what_has_no_script(tmp_path):
         reproducer(verdict, "masks")
     save_report(verdict, tmp_path / "report.html")
     assert "Reproducer: weights" in (tmp_path / "report.html").read_text()
+
+
+# Too bright, by a function whose source Dr.Jit reads.
+TRANSFORMED = """
+import drjit as dr, mitsuba as mi
+
+class Transformed(mi.BSDF):
+    def __init__(self, props):
+        mi.BSDF.__init__(self, props)
+        self.m_flags = mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide
+        self.m_components = [self.m_flags]
+
+    @dr.syntax
+    def lit(self, si, wo):
+        above = wo.z > 0
+        if si.wi.z < 0:
+            above = mi.Bool(False)
+        return above
+
+    def sample(self, ctx, si, sample1, sample2, active):
+        bs = dr.zeros(mi.BSDFSample3f)
+        bs.wo = mi.warp.square_to_cosine_hemisphere(sample2)
+        bs.pdf, bs.eta = self.pdf(ctx, si, bs.wo, active), 1.0
+        bs.sampled_type = mi.UInt32(int(mi.BSDFFlags.DiffuseReflection))
+        return bs, mi.Spectrum(0.5) & (bs.pdf > 0)
+
+    def eval(self, ctx, si, wo, active):
+        return mi.Spectrum(dr.inv_pi * wo.z) & (active & self.lit(si, wo))
+
+    def pdf(self, ctx, si, wo, active):
+        return dr.select(active & self.lit(si, wo), dr.inv_pi * wo.z, 0)
+
+    def to_string(self):
+        return "Transformed[]"
+
+mi.register_bsdf("transformed", Transformed)
+"""
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_plugin_file_may_have_source_that_is_read(tmp_path, capsys):
+    plugin, script_of = tmp_path / "transformed.py", tmp_path / "bug.py"
+    plugin.write_text(TRANSFORMED)
+    command = ["validate", "transformed", "--effort", "quick", "--plugin", plugin]
+    command += ["--variant", mi.variant(), "--reproducer", script_of]
+    cli.main(list(map(str, command)))
+    capsys.readouterr()
+    assert told(script_of.read_text()) > 1
