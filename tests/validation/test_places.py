@@ -5,8 +5,9 @@ import drjit as dr
 import mitsuba as mi
 import plain_bsdf
 import pytest
+from reproduced import told
 
-from gonio_mi.validation import validate
+from gonio_mi.validation import reproducer, validate
 
 pytestmark = pytest.mark.usefixtures("mono")
 
@@ -91,3 +92,48 @@ def test_a_pdf_of_a_side_too_much_is_guilty():
     judged = verdict(base, above=above, value=value, density=density)
     assert judged.function == "pdf"
     assert "on a side where `sample` never goes" in judged.mistake
+
+
+# ------------------------------------------------------------------ place in the world
+
+
+@pytest.fixture
+def base():
+    return plain_bsdf.plain()
+
+
+def by_place(si):
+    return 1 + 0.5 * dr.sin(7 * si.p.x)
+
+
+def by_axis(si):
+    return 1 + 0.5 * si.sh_frame.n.x
+
+
+@pytest.mark.parametrize("factor", [by_place, by_axis])
+@pytest.mark.parametrize("forgetful", ["value", "weight", None])
+def test_place_and_rotation_are_told_apart(base, factor, forgetful):
+    """One function forgets them; the twin is a model that depends on the world."""
+
+    def value(self, ctx, si, wo):
+        return base.value(self, ctx, si, wo) * factor(si)
+
+    def weight(self, ctx, si, bs):
+        return base.value(self, ctx, si, bs.wo) / bs.pdf * factor(si)
+
+    changes = {"value": value, "weight": weight}
+    changes.pop(forgetful, None)
+    if forgetful == "weight":
+        changes["weight"] = lambda self, *_: mi.Spectrum(self.reflectance)
+    judged = verdict(base, **changes)
+    assert judged.passed == (forgetful is None)
+    if forgetful is None:
+        return
+    found = judged["answers"]
+    if factor is by_place:
+        said = "`eval` and `sample` depend differently on the place in the world, si.p"
+        assert found.function == "eval or sample"
+        assert found.mistake == said
+        assert told(reproducer(judged, "answers")) > 1
+    else:
+        assert "mixes local and world coordinates" in found.mistake

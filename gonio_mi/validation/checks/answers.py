@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 
 from ...array_types import Flags, Floats, Numbers
 from ...collector.directions import direction
-from ..conditions import TURN
+from ..conditions import POSITION, TURN
 from ..evidence import BIAS, INTERFACE, Evidence
 from ..kinds import Kind
 from ..probe import Probe, floats, random_numbers, spectral, vectors
@@ -33,6 +34,10 @@ N_LATTICE = 2**12
 
 # What a function does whose answers change for no reason that is known.
 MIXED = "mixes local and world coordinates"
+OF_WORLD = "depends on where the surface is in the world"
+
+# Properties that are lacking if two functions depend differently on the place.
+OF_PLACE = {"sampled_weight": ("eval", "sample"), "sampled_pdf": ("pdf", "sample")}
 
 # What a lobe can be: names as in mi.BSDFFlags.
 LOBES = (
@@ -119,7 +124,9 @@ def check_frames(evidence: Evidence) -> None:
 
     A model may depend on its place in the world as long as its functions agree. It is a
     mistake only if they contradict each other on a turned surface and on no other, or
-    if a transform that is applied once too often explains all differences.
+    if a transform that is applied once too often explains all differences. A turned
+    surface is moved, too: where that alone changes the answers, one function has
+    forgotten the place, or another has it without reason.
     """
     flat, turned = (
         {
@@ -137,7 +144,9 @@ def check_frames(evidence: Evidence) -> None:
         if found is None:
             continue
         function, wrong, mistake = found
-        if turned - flat or not mistake.startswith(MIXED):
+        if _turned_answer(evidence.bsdf, samples, moved=True) is None:
+            _add_place(evidence, samples, function, {name for name, _ in turned - flat})
+        elif turned - flat or not mistake.startswith(MIXED):
             evidence.breach(
                 "answers",
                 function,
@@ -148,18 +157,42 @@ def check_frames(evidence: Evidence) -> None:
                 kind=Kind.OTHER_IN_THE_WORLD,
             )
         else:
-            text = f"`{function}` depends on where the surface is in the world"
-            evidence.remark("answers", text)
+            evidence.remark("answers", f"`{function}` {OF_WORLD}")
         return
 
 
-def _turned_answer(bsdf: mi.BSDF, samples: Samples) -> tuple[str, Flags, str] | None:
+def _add_place(
+    evidence: Evidence, samples: Samples, function: str, names: Collection[str]
+) -> None:
+    """Add what depends on the place alone: properties `names` are lacking there."""
+    evidence.remark("answers", f"`{function}` {OF_WORLD}")
+    for name in filter(names.__contains__, OF_PLACE):
+        both = OF_PLACE[name]
+        text = "` and `".join(both)
+        evidence.breach(
+            "answers",
+            " or ".join(both),
+            f"{samples.condition}, where the surface is moved",
+            f"`{text}` depend differently on the place in the world, si.p",
+            samples.condition,
+            size=2.0,
+            kind=Kind[name.upper()],
+        )
+        return
+
+
+def _turned_answer(
+    bsdf: mi.BSDF, samples: Samples, moved: bool = False
+) -> tuple[str, Flags, str] | None:
     """Function whose answers change with the surface's rotation, or None.
 
     With the samples that show it, and the mistake. `sample` comes last, for its answers
-    may follow from those of the others.
+    may follow from those of the others. Unless the surface is `moved` in both cases,
+    its place changes, too.
     """
     probe = Probe(bsdf, replace(samples.condition, turned=False))
+    if moved:
+        probe.p = mi.Point3f(POSITION.tolist())
     usable, wo = samples.usable, samples.wo
     mixed = MIXED
     for function, ask, here, slack in (
