@@ -15,6 +15,10 @@ from ..collector import Borders
 from ..collector.directions import direction
 from ..errors import checked_choice
 
+# Channels of a spectral variant, in nm; and the range of those of a sweep.
+WAVELENGTHS_NM = (450.0, 520.0, 580.0, 650.0)
+SWEPT_NM = (380.0, 780.0)
+
 
 @dataclass(frozen=True)
 class Condition:
@@ -36,6 +40,8 @@ class Condition:
     turned : bool
         Whether the surface is turned and moved in the world, as by `TURN`: local
         answers do not change.
+    nm : tuple of float
+        Wavelengths of the channels of a spectral variant.
     """
 
     theta_i: float
@@ -46,6 +52,7 @@ class Condition:
     component: int | None = None
     types: int | None = None
     turned: bool = False
+    nm: tuple[float, ...] = WAVELENGTHS_NM
 
     @property
     def wi(self) -> Floats:
@@ -58,6 +65,11 @@ class Condition:
     def uvs(self) -> Floats:
         """Texture coordinates, shape (2,)."""
         return np.array(self.uv)
+
+    @property
+    def wavelengths(self) -> Floats:
+        """Wavelengths of the channels in nm, shape (channels,)."""
+        return np.array(self.nm)
 
     @property
     def context(self) -> mi.BSDFContext:
@@ -93,6 +105,8 @@ class Condition:
             words.append(f"component {self.component}")
         if self.mode != "importance":
             words.append(f"{self.mode} mode")
+        if self.nm != WAVELENGTHS_NM:
+            words.append(", ".join(f"{x:g}" for x in self.nm) + " nm")
         return ", ".join(words)
 
 
@@ -102,6 +116,7 @@ class Sweep(Condition):
 
     Any sector or band of some degrees gets hundreds of them. `theta_i` is the angle of
     their mean cosine. If `both` faces are lit, they alternate; the `PLACES` do, too.
+    Each has wavelengths of its own, evenly over `SWEPT_NM`.
     """
 
     theta_i: float = 50.5
@@ -133,6 +148,14 @@ class Sweep(Condition):
         """Texture coordinates of each, shape (n, 2)."""
         return np.array(PLACES)[self.places]
 
+    @cached_property
+    def wavelengths(self) -> Floats:
+        """Wavelengths of each in nm, shape (n, channels)."""
+        low, high = SWEPT_NM
+        channels = np.arange(len(self.nm)) / len(self.nm)
+        turns = (np.arange(self.n)[:, None] * 2**0.5 + channels) % 1
+        return low + (high - low) * turns
+
     def place(self, wrong: Flags) -> str:
         """Range of the polar angles, of azimuths unless they go all around; a place.
 
@@ -158,7 +181,11 @@ class Sweep(Condition):
         k = own[np.argsort(self.angles[0, own])[len(own) // 2]] if own.size else 0
         theta, phi = (round(float(angle), 1) for angle in self.angles[:, k])
         side = "front" if self.wi[k, 2] > 0 else "back"
-        return Condition(theta, phi, side, PLACES[self.places[k]], self.mode)
+        uv = PLACES[self.places[k]]
+        if not mi.is_spectral:
+            return Condition(theta, phi, side, uv, self.mode)
+        nm = tuple(self.wavelengths[k].round(1).tolist())
+        return Condition(theta, phi, side, uv, self.mode, nm=nm)
 
     def __str__(self) -> str:
         return f"all angles of incidence{self._more}"

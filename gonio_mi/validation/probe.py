@@ -24,9 +24,6 @@ from ..transport.bsdf_trial import (
 )
 from .conditions import POSITION, TURN, Condition
 
-# Channels of a spectral variant, in nm.
-WAVELENGTHS_NM = (450.0, 520.0, 580.0, 650.0)
-
 # Mitsuba's record of a sample, and its weight.
 Sample: TypeAlias = "tuple[mi.BSDFSample3f, mi.Spectrum]"
 
@@ -50,6 +47,10 @@ class Probe:
         wi = condition.wi
         self.wi = mi.Vector3f(wi.tolist()) if wi.ndim == 1 else vectors(wi)
         self.uv = mi.Point2f(*map(floats, condition.uvs.reshape(-1, 2).T))
+        self.wavelengths = mi.Color0f()
+        if mi.is_spectral:
+            each = np.atleast_2d(condition.wavelengths).T
+            self.wavelengths = mi.UnpolarizedSpectrum(*map(floats, each))
         axes = TURN if condition.turned else np.eye(3)
         self.axes = [mi.Vector3f(axis.tolist()) for axis in axes.T]
         self.p = mi.Point3f((POSITION if condition.turned else 0 * POSITION).tolist())
@@ -64,8 +65,7 @@ class Probe:
         u, v, normal = self.axes
         si.n, si.sh_frame = mi.Normal3f(normal), mi.Frame3f(u, v, normal)
         si.dp_du, si.dp_dv = 2 * u, 2 * v
-        if mi.is_spectral:
-            si.wavelengths = mi.UnpolarizedSpectrum(list(WAVELENGTHS_NM))
+        si.wavelengths = self.wavelengths
         si.wi = self.wi if wi is None else wi
         return si
 
@@ -172,13 +172,15 @@ class Probe:
         if dr.width(wi) < n:
             wi += dr.zeros(mi.Vector3f, n)
         # `n` may be so many times the samples, which are then asked again and again
-        uv = dr.tile(self.uv, n // dr.width(self.uv))
-        dr.make_opaque(wi, uv, arguments)
+        uv, nm = dr.tile(self.uv, n // dr.width(self.uv)), self.wavelengths
+        if mi.is_spectral:
+            nm = dr.tile(nm, n // dr.width(nm))
+        dr.make_opaque(wi, uv, nm, arguments)
         # a plugin may change its copies in place: narrow its mask, or flip a direction
         copies = [type(one)(one) for one in (*arguments, active)]
         with blamed(function):
             method, si = getattr(self.bsdf, function), self.interaction(wi)
-            si.uv = uv
+            si.uv, si.wavelengths = uv, nm
             return method(ctx or self.ctx, si, *copies)
 
     @staticmethod

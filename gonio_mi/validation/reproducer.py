@@ -25,7 +25,6 @@ from ..transport.variants import unpolarised
 from .conditions import POSITION, TURN, Condition, Sweep
 from .kinds import LIT, PDF, PRODUCT, SMOOTH, VALUE, Kind, MatrixKind, each
 from .maps import FourMaps
-from .probe import WAVELENGTHS_NM
 from .verdict import Property, Verdict
 
 # Where is looked if a finding names no direction.
@@ -274,7 +273,7 @@ def _head(
         uv = f"mi.Point2f({u}, {v})"
         yield f"si.uv{name}, si.dp_du, si.dp_dv = {uv}{value}, {tangents}"
     if mi.is_spectral:
-        yield f"si.wavelengths = mi.Spectrum({list(WAVELENGTHS_NM)})"
+        yield f"si.wavelengths = mi.Spectrum({list(condition.nm)})"
     yield "dr.make_opaque(si)"
     yield "rng = np.random.default_rng(0)"
     yield "u = rng.random((3, n), dtype=np.float32)"

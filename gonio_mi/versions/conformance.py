@@ -31,9 +31,9 @@ from ..errors import SettingError, SpecimenError
 from ..exports.exporting import export
 from ..progress import bar
 from ..reports.page import folded, preformatted, save_page, table
+from ..validation.conditions import WAVELENGTHS_NM
 from ..validation.evidence import PHASE, PROPERTIES
 from ..validation.kinds import LIT, SMOOTH
-from ..validation.probe import WAVELENGTHS_NM
 from ..validation.reproducer import (
     ANYWHERE,
     in_a_medium,

@@ -1,12 +1,15 @@
-"""Rough glass whose index differs by wavelength, in a spectral variant."""
+# ruff: noqa: ARG001 (every method has Mitsuba's signature)
+"""Answers that differ by wavelength, in a spectral variant."""
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+import plain_bsdf
 import pytest
+from reproduced import told
 
-from gonio_mi.validation import validate
-from gonio_mi.validation.probe import WAVELENGTHS_NM
+from gonio_mi.validation import reproducer, validate
+from gonio_mi.validation.conditions import WAVELENGTHS_NM
 
 INDICES = [1.48 + 6000 / wavelength**2 for wavelength in WAVELENGTHS_NM]
 
@@ -97,3 +100,21 @@ def test_a_first_wavelength_that_is_not_reciprocal_is_told():
     }
     assert found["Radiance"]["adjoint"].effect == "biases images"
     assert found["Importance"]["reciprocity"].status == "fails"
+
+
+@pytest.mark.usefixtures("spectral")
+@pytest.mark.parametrize("band", [(525.0, 575.0), (380.0, 430.0), (900.0, 950.0)])
+def test_a_mistake_in_a_band_is_found(band):
+    """Between the wavelengths of single directions; the twin is beyond the visible."""
+    plain = plain_bsdf.plain()
+
+    def weight(self, ctx, si, bs):
+        inside = (si.wavelengths > band[0]) & (si.wavelengths < band[1])
+        return self.reflectance * dr.select(inside, 0.9, mi.Spectrum(1.0))
+
+    mi.register_bsdf("of_a_band", type("Plugin", (plain,), {"weight": weight}))
+    judged = validate({"type": "of_a_band"}, effort="quick")
+    assert judged.passed == (band[0] > 800)
+    if not judged.passed:
+        assert judged["sampled_weight"].effect == "biases images"
+        assert told(reproducer(judged)) > 1

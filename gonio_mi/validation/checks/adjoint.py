@@ -10,7 +10,6 @@ import numpy as np
 from ...array_types import Flags
 from ..evidence import BIAS, BREAKS, Evidence
 from ..kinds import Kind
-from ..probe import WAVELENGTHS_NM
 from ..samples import is_many, samples_of, unequal
 from .delta import Lobe
 from .reciprocity import BothWays, is_constant, ratio_text
@@ -64,9 +63,9 @@ def _mistake_of_wavelengths(ways: BothWays, wrong: Flags) -> str:
     )
     k = int(np.abs(by_way - by_mode).argmax())
     return (
-        f"`eval` at {WAVELENGTHS_NM[k]:g} nm transmits {by_way[k]:.4g} times what it "
-        f"does the other way, and {by_mode[k]:.4g} times what it does in radiance "
-        "mode, where both are eta^2 of that wavelength"
+        f"`eval` at {samples.condition.nm[k]:g} nm transmits {by_way[k]:.4g} times "
+        f"what it does the other way, and {by_mode[k]:.4g} times what it does in "
+        "radiance mode, where both are eta^2 of that wavelength"
     )
 
 

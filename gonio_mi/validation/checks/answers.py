@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import cache
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -15,7 +16,7 @@ from ...collector.directions import direction
 from ..conditions import POSITION, TURN
 from ..evidence import BIAS, INTERFACE, Evidence
 from ..kinds import Kind
-from ..probe import Probe, floats, random_numbers, spectral, vectors
+from ..probe import Probe, random_numbers, spectral, vectors
 from ..samples import Samples, is_many, unequal
 
 # Properties that hold unless two functions contradict each other.
@@ -228,7 +229,11 @@ def check_order(evidence: Evidence, samples: Samples) -> None:
     """Check that answers do not depend on the place of a ray in the array."""
     # of a sweep, so that incident directions and places are reversed, too
     probe = Probe(evidence.bsdf, samples.condition)
-    probe.uv = mi.Point2f(*map(floats, samples.condition.uvs[::-1].T))
+    i = samples.n - 1 - dr.arange(mi.UInt32, samples.n)
+    probe.uv = dr.gather(mi.Point2f, probe.uv, i)
+    if mi.is_spectral:
+        kind = type(probe.wavelengths)
+        probe.wavelengths = dr.gather(kind, probe.wavelengths, i)
     wo, wi = samples.wo[::-1], vectors(samples.wi[::-1])
     _, weight = probe.sample(*random_numbers(samples.u[::-1]), wi=wi)
     n = samples.n
