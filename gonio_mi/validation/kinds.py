@@ -104,6 +104,10 @@ BACK = """\
 back = dr.zeros(mi.SurfaceInteraction3f, n)
 back.wi, back.sh_frame, back.uv, back.p = bs.wo, si.sh_frame, si.uv, si.p
 """
+BACK_IN_A_MEDIUM = """\
+back = dr.zeros(mi.SurfaceInteraction3f, n)
+back.wi, back.sh_frame, back.p = bs.wo, mi.Frame3f(bs.wo), si.p
+"""
 THERE = f"{VALUE} / np.abs(bs.wo.z)"
 AGAIN = f"{channels('bsdf.eval(ctx, back, si.wi, True)')} / np.abs(si.wi.z)"
 STEEP = f"{SMOOTH} & (dr.abs(bs.wo.z) > 1e-3)"
@@ -216,10 +220,14 @@ a = {channels("FUNCTION")}
 si.wi = si.wi + mi.Vector3f(2**-16, 0, 0)
 {by_sample("a", channels("FUNCTION"))}"""
     RECIPROCITY = BACK + RELATIVE_ETA + by_sample(THERE, f"{AGAIN} * eta**2", STEEP)
-    SYMMETRY = """\
-back = dr.zeros(mi.SurfaceInteraction3f, n)
-back.wi, back.sh_frame, back.p = bs.wo, mi.Frame3f(bs.wo), si.p
-""" + by_sample(VALUE, channels("bsdf.eval(ctx, back, si.wi, True)"))
+    SYMMETRY = BACK_IN_A_MEDIUM + by_sample(
+        VALUE, channels("bsdf.eval(ctx, back, si.wi, True)")
+    )
+    SYMMETRY_OF_MICROFLAKES = BACK_IN_A_MEDIUM + by_sample(
+        f"{VALUE} * bsdf.projected_area(si, True)",
+        f"{channels('bsdf.eval(ctx, back, si.wi, True)')} * "
+        "bsdf.projected_area(back, True)",
+    )
     RECIPROCITY_OF_A_LOBE = f"""\
 {LOBE}back = dr.zeros(mi.SurfaceInteraction3f, n)
 back.wi, back.sh_frame = mi.Vector3f(wo[:, first].tolist()), si.sh_frame

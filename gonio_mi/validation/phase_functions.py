@@ -250,21 +250,31 @@ def _check_reciprocity(evidence: Evidence, samples: Samples) -> None:
     slack = samples.eval_slack * areas[0] + samples.reverse_slack * areas[1]
     wrong = unequal(there, back, slack) & usable
     if is_many(wrong):
+        function, what, kind = "eval", "`eval` is", Kind.SYMMETRY
+        if _is_of_microflakes(evidence.bsdf):
+            function, kind = "eval or projected_area", Kind.SYMMETRY_OF_MICROFLAKES
+            what = "`eval` or `projected_area`: their product is"
         evidence.breach(
             "reciprocity",
-            "eval",
+            function,
             ratio_text(there, back, wrong, samples),
-            "`eval` is not symmetric in wi and wo",
+            f"{what} not symmetric in wi and wo",
             samples.condition,
             size=float(wrong.mean()),
-            kind=Kind.SYMMETRY,
+            kind=kind,
         )
+
+
+def _is_of_microflakes(bsdf: mi.BSDF) -> bool:
+    """Whether a phase function declares microflakes."""
+    microflake = mi.PhaseFunctionFlags.Microflake
+    return bool(mi.has_flag(bsdf.phase_function.flags(), microflake))
 
 
 def _projected_area(bsdf: mi.BSDF, condition: Condition, local: Floats) -> Floats:
     """Projected area of microflakes seen from local directions, (n, 1); else 1."""
     phase, n = bsdf.phase_function, len(local)
-    if not mi.has_flag(phase.flags(), mi.PhaseFunctionFlags.Microflake):
+    if not _is_of_microflakes(bsdf):
         return np.ones((n, 1))
     si = Probe(bsdf, condition).interaction(vectors(local))
     mei = dr.zeros(mi.MediumInteraction3f, n)

@@ -113,3 +113,45 @@ def test_polarised_variants_are_refused():
             validate({"type": "rayleigh"}, effort="quick")
     finally:
         mi.set_variant(before)
+
+
+@pytest.mark.usefixtures("mono")
+def test_microflakes_have_the_area_that_eval_is_divided_by():
+    """All but the area is that of `sggx`, of which nothing is to be seen."""
+
+    class Straight(mi.PhaseFunction):
+        tilt = 0.0
+
+        def __init__(self, props):
+            mi.PhaseFunction.__init__(self, props)
+            s = flakes(0.5, 1, 0.8, 0, 0, 0)
+            self.sggx = mi.load_dict({"type": "sggx", "S": s})
+            self.m_flags = mi.PhaseFunctionFlags.Microflake
+            self.m_components = [self.m_flags]
+
+        def sample(self, *asked):
+            return self.sggx.sample(*asked)
+
+        def eval_pdf(self, *asked):
+            return self.sggx.eval_pdf(*asked)
+
+        def projected_area(self, mei, active):
+            return self.sggx.projected_area(mei, active) * (1 + self.tilt * mei.wi.x)
+
+        def to_string(self):
+            return "Flakes[]"
+
+    class Tilted(Straight):
+        tilt = 0.3
+
+    mi.register_phase("straight", Straight)
+    mi.register_phase("tilted", Tilted)
+    right = validate({"type": "straight"}, effort="quick")
+    assert right["reciprocity"].status == "holds"
+    verdict = validate({"type": "tilted"}, effort="quick")
+    found = verdict["reciprocity"]
+    assert found.function == "eval or projected_area"
+    assert found.mistake.startswith("`eval` or `projected_area`: their product is not")
+    script = reproducer(verdict, "reciprocity")
+    assert told(script) > 1
+    assert told(script.replace('"tilted"', '"straight"')) < 1
