@@ -71,7 +71,7 @@ class launches_kernels(ContextDecorator):  # noqa: N801
             else:
                 check_variant_kept()
             if error is not None and _is_wrapped(error):
-                raise _first_cause(error) from None
+                raise first_cause(error) from None
         finally:
             _entered.pop()
             # no variable of this very frame may hold what holds the frame
@@ -166,7 +166,7 @@ def _let_go(error: BaseException) -> None:
         traceback.clear_frames(cause.__traceback__)
 
 
-def _first_cause(error: BaseException) -> BaseException:
+def first_cause(error: BaseException) -> BaseException:
     """The error that led to all others."""
     *_, first = _chain(error)
     return first

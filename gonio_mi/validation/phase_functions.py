@@ -12,7 +12,16 @@ import numpy as np
 
 from ..array_types import Floats
 from ..transport.media import N_RINGED, ask_phase_function
-from .checks import answers, components, ends, masks, parameters, sampling, weights
+from .checks import (
+    answers,
+    components,
+    cost,
+    ends,
+    masks,
+    parameters,
+    sampling,
+    weights,
+)
 from .checks.agreement import check_again, check_identities
 from .checks.reciprocity import ratio_text
 from .conditions import Condition, Effort, sides_of
@@ -127,6 +136,7 @@ def examine_phase_function(evidence: Evidence, plan: Effort, effort: str) -> Non
     ends.check_limits(evidence, ENDS)
     _check_maps(evidence, plan, MAPPED[effort])
     parameters.check_changes(evidence, plan, sides)
+    cost.check_recorded(evidence, ASKED[1])
 
 
 def _excuse(evidence: Evidence) -> None:

@@ -263,6 +263,7 @@ def _steps(evidence: Evidence, plan: Effort) -> Iterator[float]:
     if plan is not Effort.named("quick"):
         # it takes a second
         cost.check_time(evidence, Condition(40.0, 25.0, sides[0]))
+    cost.check_recorded(evidence, Condition(40.0, 25.0, sides[0]))
 
 
 def _check_samples(

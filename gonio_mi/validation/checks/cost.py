@@ -1,6 +1,6 @@
-"""Cost of a call: recompiled kernels, and the time per ray.
+"""Cost of a call: recompiled kernels, values asked for in loops, and the time per ray.
 
-Neither is ever a failure. Compiling a kernel takes thousands of times as long as
+None is ever a failure. Compiling a kernel takes thousands of times as long as
 running it on a small batch; a plugin causes that if it bakes a Python number that
 changes into the kernel as a literal.
 """
@@ -15,6 +15,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ...transport.kernels import first_cause
 from ..conditions import Condition
 from ..evidence import COST, Evidence
 from ..probe import Probe, uniform
@@ -23,6 +24,10 @@ from ..samples import Samples, samples_of
 # Rays of a call, and turns in which a plugin and one of Mitsuba's own take it.
 N_RAYS = 2**19
 N_TURNS = 7
+
+# Functions that integrators call in a loop, and rays of one that is recorded.
+RECORDED = ("sample", "eval", "pdf")
+N_RECORDED = 4
 
 # How many times as long a plugin may take; its author knows of less.
 MAX_RATIO = 10.0
@@ -50,6 +55,48 @@ def check_compiled(
         "which dr.opaque makes a variable",
     )
     return again
+
+
+def check_recorded(evidence: Evidence, condition: Condition) -> None:
+    """Remark on functions that Mitsuba cannot record in a loop.
+
+    Comes last, and not if answers are wrong: a plugin that keeps variables of the loop
+    could not be called again.
+    """
+    if evidence.of("answers"):
+        return
+    probe = Probe(evidence.bsdf, condition)
+    own = [name for name in RECORDED if not _is_recorded(probe, name)]
+    if own:
+        evidence.lesser["cost"] = COST
+        evidence.remark(
+            "cost",
+            f"adds cost: `{'`, `'.join(own)}` cannot be recorded (values are asked for "
+            "by NumPy, `dr.none` or an `if`), so that `mi.render` raises unless "
+            "dr.JitFlag.SymbolicLoops and SymbolicCalls are off",
+        )
+
+
+def _is_recorded(probe: Probe, function: str) -> bool:
+    """Whether a loop of one turn that calls a function can be recorded."""
+
+    def turn(i: mi.UInt32, wi: mi.Vector3f, u: mi.Point3f) -> tuple[Any, ...]:
+        si, wo = probe.interaction(mi.Vector3f(wi)), mi.Vector3f(wi)
+        si.uv = mi.Point2f(u.x, u.y)
+        directions = (u.x, mi.Point2f(u.y, u.z)) if function == "sample" else (wo,)
+        getattr(probe.bsdf, function)(probe.ctx, si, *directions, i < 1)
+        return i + 1, wi, u
+
+    sample1, sample2 = uniform(N_RECORDED, (73,))
+    wi = mi.Vector3f(probe.wi) + dr.zeros(mi.Vector3f, N_RECORDED)
+    state = mi.UInt32(0), wi, mi.Point3f(sample1, sample2.x, sample2.y)
+    dr.make_opaque(state)
+    try:
+        dr.while_loop(state, lambda i, *_: i < 1, turn, mode="symbolic")
+    except Exception as error:  # a plugin may raise anything
+        # without a variable, which would keep the plugin alive
+        return "*symbolic*" not in str(first_cause(error))
+    return True
 
 
 def check_time(evidence: Evidence, condition: Condition) -> None:
