@@ -42,6 +42,8 @@ class Condition:
         answers do not change.
     nm : tuple of float
         Wavelengths of the channels of a spectral variant.
+    differentials : bool
+        Whether rays have differentials of their texture coordinates.
     """
 
     theta_i: float
@@ -53,6 +55,7 @@ class Condition:
     types: int | None = None
     turned: bool = False
     nm: tuple[float, ...] = WAVELENGTHS_NM
+    differentials: bool = False
 
     @property
     def wi(self) -> Floats:
@@ -105,6 +108,8 @@ class Condition:
             words.append(f"component {self.component}")
         if self.mode != "importance":
             words.append(f"{self.mode} mode")
+        if self.differentials:
+            words.append("with differentials")
         if self.nm != WAVELENGTHS_NM:
             words.append(", ".join(f"{x:g}" for x in self.nm) + " nm")
         return ", ".join(words)

@@ -43,7 +43,7 @@ class Probe:
 
     def __init__(self, bsdf: mi.BSDF, condition: Condition) -> None:
         self.bsdf, self.condition = bsdf, condition
-        self.ctx = condition.context
+        self.ctx, self.differentials = condition.context, condition.differentials
         wi = condition.wi
         self.wi = mi.Vector3f(wi.tolist()) if wi.ndim == 1 else vectors(wi)
         self.uv = mi.Point2f(*map(floats, condition.uvs.reshape(-1, 2).T))
@@ -66,6 +66,8 @@ class Probe:
         si.n, si.sh_frame = mi.Normal3f(normal), mi.Frame3f(u, v, normal)
         si.dp_du, si.dp_dv = 2 * u, 2 * v
         si.wavelengths = self.wavelengths
+        if self.differentials:
+            si.duv_dx, si.duv_dy = mi.Vector2f(0.3, 0.1), mi.Vector2f(-0.1, 0.2)
         si.wi = self.wi if wi is None else wi
         return si
 

@@ -272,6 +272,8 @@ def _head(
         name, value = p if condition.turned else ("", "")
         uv = f"mi.Point2f({u}, {v})"
         yield f"si.uv{name}, si.dp_du, si.dp_dv = {uv}{value}, {tangents}"
+    if condition.differentials:
+        yield "si.duv_dx, si.duv_dy = mi.Vector2f(0.3, 0.1), mi.Vector2f(-0.1, 0.2)"
     if mi.is_spectral:
         yield f"si.wavelengths = mi.Spectrum({list(condition.nm)})"
     yield "dr.make_opaque(si)"

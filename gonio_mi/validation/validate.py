@@ -238,6 +238,8 @@ def _steps(evidence: Evidence, plan: Effort) -> Iterator[float]:
     n = bsdf.component_count()
     components, sides = range(n) if n > 1 else (), sides_of(bsdf)
     conditions = list(plan.checks(sides, components))
+    if bsdf.needs_differentials():
+        conditions += [replace(conditions[1], differentials=True)]
     radiance = [replace(one, mode="radiance") for one in plan.radiance(sides)]
     for i, condition in enumerate([*conditions, *radiance]):
         _check_samples(evidence, condition, plan.checked, (seed, 1, i))
@@ -291,6 +293,8 @@ def _check_maps(
 ) -> Iterator[float]:
     """Check samples by patch; yield steps of progress."""
     conditions = list(plan.maps(sides, components))
+    if evidence.bsdf.needs_differentials():
+        conditions += [replace(conditions[0], differentials=True)]
     other_mode = any(_depends_on_mode(evidence, one) for one in evidence.whole)
     if other_mode:
         conditions += [replace(one, mode="radiance") for one in plan.radiance(sides)]

@@ -137,3 +137,49 @@ def test_place_and_rotation_are_told_apart(base, factor, forgetful):
         assert told(reproducer(judged, "answers")) > 1
     else:
         assert "mixes local and world coordinates" in found.mistake
+
+
+# ------------------------------------------------------------------------ differentials
+
+
+@pytest.mark.parametrize(
+    ("forgetful", "failing"),
+    [
+        ((), ()),
+        (("direction", "sampled"), ("sampled_pdf", "sampling")),
+        (("direction",), ("sampling", "weights")),
+    ],
+)
+def test_all_functions_heed_differentials_that_are_declared(base, forgetful, failing):
+    """A lobe of cos^3 is a Lambertian where the footprint of a ray is large."""
+
+    def power(self, name, si):
+        large = dr.abs(si.duv_dx.x) > 0.01
+        return dr.select(large & (name not in forgetful), 1.0, 3.0)
+
+    def density(self, ctx, si, wo, name="pdf"):
+        n = self.power(name, si)
+        return (n + 1) * dr.inv_two_pi * dr.power(wo.z, n)
+
+    def direction(self, ctx, si, sample1, sample2):
+        z = dr.power(sample2.x, 1 / (self.power("direction", si) + 1))
+        s, c = dr.sincos(dr.two_pi * sample2.y)
+        r = dr.safe_sqrt(1 - z * z)
+        return mi.Vector3f(r * c, r * s, z)
+
+    def value(self, ctx, si, wo):
+        return mi.Spectrum(0.8 * self.density(ctx, si, wo))
+
+    def sample(self, ctx, si, sample1, sample2, active=True):
+        bs, weight = base.sample(self, ctx, si, sample1, sample2, active)
+        bs.pdf = self.density(ctx, si, bs.wo, "sampled")
+        return bs, (self.value(ctx, si, bs.wo) / bs.pdf) & (weight > 0)
+
+    changes = {f.__name__: f for f in (power, density, direction, value, sample)}
+    changes["needs_differentials"] = lambda _: True
+    judged = verdict(base, **changes)
+    failed = {p.name for p in judged.failures if p.effect == "biases images"}
+    assert failed == {*failing}
+    if failing:
+        assert "with differentials" in judged[failing[0]].statistic
+        assert told(reproducer(judged)) > 1
