@@ -327,9 +327,15 @@ a = np.ravel(total(x + 1e-3) - total(x - 1e-3))[0] / 2e-3
 dr.enable_grad(x)
 b = np.ravel(dr.forward_to(total(x), flags=dr.ADFlag.AllowNoGrad))[0]
 {EQUAL}"""
+    UPDATE = f"""\
+a, params = {channels("FUNCTION")}, mi.traverse(bsdf)
+for name in params.keys():
+    params.set_dirty(name)
+params.update()
+{by_sample("a", channels("FUNCTION"))}"""
     PARAMETERS = """\
 params = mi.traverse(bsdf)
-params["ABOUT"] *= 0.5
+params["ABOUT"] = dr.select(params["ABOUT"] == 0, 0.5, params["ABOUT"] / 2)
 params.update()
 bs, weight = bsdf.sample(ctx, si, RANDOM, True)
 """ + by_sample("STALE", "DUE")
@@ -337,7 +343,7 @@ bs, weight = bsdf.sample(ctx, si, RANDOM, True)
     # over directions of the density u
     DENSITY_AFTER_A_CHANGE = f"""\
 params = mi.traverse(bsdf)
-params["ABOUT"] *= 0.5
+params["ABOUT"] = dr.select(params["ABOUT"] == 0, 0.5, params["ABOUT"] / 2)
 params.update()
 bs, weight = bsdf.sample(ctx, si, RANDOM, True)
 p, q = (4 * np.pi * np.array(bsdf.pdf(ctx, si, wo, True)) for wo in (bs.wo, SPHERE))

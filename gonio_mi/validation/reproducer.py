@@ -172,6 +172,8 @@ def _counted(maps: FourMaps | None, corners: Any, kind: Kind) -> dict[str, str]:
 def _words(verdict: Verdict, one: Property, kind: Kind | MatrixKind) -> dict[str, str]:
     """Text that replaces each word of a template for one finding."""
     guilty = str(one.function or verdict.function or "eval").split(" or ")[0]
+    if kind is Kind.UPDATE:
+        guilty = one.about
     answer = ANSWERS.get(guilty, "bsdf.eval(ctx, si, wo, True)")
     function = answer.replace(", wo,", ", bs.wo,")
     about, samples = one.about, guilty == "sample"

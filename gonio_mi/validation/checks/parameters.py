@@ -135,6 +135,7 @@ def _check_updates(
         found[~found[:, 4:].any(axis=1)] = 0  # no sample
         return {"eval": probe.values(wo), "pdf": probe.densities(wo), "sample": found}
 
+    how: dict[str, Any]
     names = few(values) if len(values) > 1 else ()
     for name in ("", *names):
         others = {name: _other(values[name])} if name else {}
@@ -146,8 +147,8 @@ def _check_updates(
         except PluginFault as fault:
             if name:
                 continue  # a value that is refused
-            function, text, kind = fault.function, str(fault), Kind.RAISES
-            evidence.breach("parameters", function, text, text, kind=kind)
+            text, how = str(fault), {"kind": Kind.RAISES}
+            evidence.breach("parameters", fault.function, text, text, **how)
             return
         own = [
             function
@@ -156,13 +157,14 @@ def _check_updates(
         ]
         if own:
             who = "` and `".join(own)
-            function = "parameters_changed"
+            function, how = "parameters_changed", {"kind": Kind.UPDATE, "about": own[0]}
             mistake = f"`{function}` changes `{who}` where no parameter has changed"
             if name:
-                function, does = own[0], "does" if len(own) == 1 else "do"
+                function, how = own[0], {"about": name}
+                does = "does" if len(own) == 1 else "do"
                 mistake = f"`{who}` {does} not follow a change of {name} alone"
             text = f"another answer after an update of all parameters, at {sweep}"
-            evidence.breach("parameters", function, text, mistake, size=3.0, about=name)
+            evidence.breach("parameters", function, text, mistake, size=3.0, **how)
             return
 
 
