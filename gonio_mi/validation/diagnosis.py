@@ -16,7 +16,7 @@ import numpy as np
 
 from ..array_types import Floats
 from ..single_precision import BSDF_ROUNDING
-from .checks.components import alone
+from .checks.components import alone, are_apart
 from .evidence import EFFECTS, INTERFACE, MODEL, NOISE, Evidence
 from .factors import FACTORS, explain, explain_weights, factor, ratios_of
 from .maps import FourMaps
@@ -171,13 +171,9 @@ def _lobes(evidence: Evidence) -> str:
         differs = unequal(density, samples.pdf, samples.pdf_slack) & samples.smooth
         return not is_many(differs)
 
-    def is_whole(value: Floats) -> bool:
-        differs = unequal(value, samples.eval, samples.eval_slack) & samples.smooth
-        return not is_many(differs)
-
-    own = [i for i, density in enumerate(each.pdf) if is_it(density)]
-    if any(map(is_whole, each.eval)):
+    if not are_apart(evidence.bsdf, samples, each):
         return ""  # no component can be asked alone
+    own = [i for i, density in enumerate(each.pdf) if is_it(density)]
     if len(own) == 1:
         return f"is that of component {own[0]} alone"
     if not own and is_it(each.pdf.sum(axis=0)):

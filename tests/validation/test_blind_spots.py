@@ -461,6 +461,20 @@ def test_light_of_a_single_component_concerns_the_interface(dark):
         assert found.effect == HARMLESS
 
 
+class Deaf(Painted):
+    """Its samples heed no mask, not even of types; its values do."""
+
+    def sample(self, ctx, si, sample1, sample2, active):
+        ctx = mi.BSDFContext(ctx.mode)
+        return Painted.sample(self, ctx, si, sample1, sample2, active)
+
+
+def test_samples_of_types_that_are_excluded_are_told():
+    found = verdict(Deaf)["flags"]
+    assert found.mistake == "`sample` does not heed ctx.type_mask"
+    assert found.effect == HARMLESS
+
+
 class Veil(Normal):
     """Lets half of the light from the front pass, and none from the back."""
 

@@ -76,17 +76,27 @@ def _check_discrete(evidence: Evidence, samples: Samples, each: Alone) -> None:
             )
 
 
+def are_apart(bsdf: mi.BSDF, samples: Samples, each: Alone) -> bool:
+    """Whether no component alone is the whole, of several with a density."""
+    smooth = [
+        value
+        for i, value in enumerate(each.eval)
+        if int(bsdf.flags(i)) & int(mi.BSDFFlags.Smooth)
+    ]
+    if len(smooth) < 2:
+        return True
+    differ = (unequal(x, samples.eval, samples.eval_slack) for x in smooth)
+    return all(is_many(one & samples.smooth) for one in differ)
+
+
 def _check_types(evidence: Evidence, samples: Samples, each: Alone) -> None:
     """Check that ctx.type_mask selects a component whose lobe types no other has.
 
-    Not where a component alone is the whole: some plugins heed masks of types only.
+    Where a component alone is the whole, as of plugins that heed masks of types only,
+    the types that are sampled tell it, and no values.
     """
     bsdf = evidence.bsdf
-    whole = samples.eval, samples.eval_slack
-    if len(each.eval) > 1 and any(
-        not is_many(unequal(one, *whole) & samples.smooth) for one in each.eval
-    ):
-        return
+    apart = are_apart(bsdf, samples, each)
     lobes = sum(int(getattr(mi.BSDFFlags, name)) for name in LOBES)
     types = [int(bsdf.flags(i)) & lobes for i in range(bsdf.component_count())]
     for i, own in enumerate(types):
@@ -106,7 +116,7 @@ def _check_types(evidence: Evidence, samples: Samples, each: Alone) -> None:
             ("sample", given & ((drawn & (lobes ^ own)) != 0)),
         ):
             wrong = wrong & (samples.smooth | (function == "sample"))
-            if is_many(wrong):
+            if is_many(wrong) and (apart or function == "sample"):
                 evidence.breach(
                     "flags",
                     function,
