@@ -88,7 +88,7 @@ class Announcement:
             return
         self.timed += rays
         elapsed = now - self.started
-        if self.announced or elapsed < TRIAL:
+        if self.announced or elapsed < TRIAL or not self.timed:
             return
         seconds = self.left * elapsed / self.timed
         if seconds > MIN_ANNOUNCED:

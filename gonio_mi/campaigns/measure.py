@@ -92,6 +92,8 @@ def measure(
         "folder": folder,
         "progress": progress,
     }
+    if "whole" in settings:  # which is for those who call measure_whole
+        MeasurementSettings().changed(whole=settings["whole"])
     record = _measured(specimen, theta_i, phi_i, **others, **settings)
     for sentence in lost_light(record):
         warn(sentence, LostLightWarning)

@@ -136,7 +136,9 @@ def measure_stacks(
         given |= {"progress": progress, "parameters": parameters, "emitter": emitter}
         records: list[Record] = []
         for one in orders:
-            records += measure_stacks(specimen, incidents, orders=[one], **given)
+            records += measure_stacks(
+                specimen, incidents, orders=[one], whole=whole, **given
+            )
             if records[-1].provenance.interrupted:
                 break
         return records

@@ -258,13 +258,17 @@ def _where(ratios: Sequence[Ratio], everything: Sequence[Ratio]) -> str:
     first = worst.samples.condition
     more = f", and at {len(ratios) - 1} more of {n}" if len(ratios) > 1 else ""
     right = [one for one in everything if not any(one is other for other in ratios)]
-    wrong_uvs, right_uvs = (
-        {tuple(uv) for one in some for uv in one.samples.condition.uvs.reshape(-1, 2)}
-        for some in (ratios, right)
-    )
+    wrong_uvs = {uv for one in ratios for uv in _uvs(one, one.wrong)}
+    right_uvs = {uv for one in right for uv in _uvs(one, slice(None))}
     u, v = first.uv
     uv = f", uv ({u:g}, {v:g})" if not wrong_uvs & right_uvs else ""
     return f" at {first.place(worst.wrong)}{uv}{more}"
+
+
+def _uvs(ratio: Ratio, mask: Flags | slice) -> set[tuple[float, ...]]:
+    """Places on the surface of some samples, of a sweep or all in one."""
+    uvs = ratio.samples.condition.uvs
+    return set(map(tuple, uvs[mask])) if uvs.ndim > 1 else {tuple(uvs)}
 
 
 def _place(ratios: Sequence[Ratio], everything: Sequence[Ratio]) -> str:

@@ -187,3 +187,9 @@ def test_no_limit_of_a_few_hits_is_negative():
             assert np.all(low >= 0)
             assert np.all(high > low)
     assert single
+
+
+@pytest.mark.usefixtures("mono")
+def test_what_only_the_instrument_says_is_no_setting():
+    with pytest.raises(TypeError, match="measure has no setting 'whole'"):
+        gonio.measure({"type": "diffuse"}, 30, whole=True)

@@ -302,6 +302,7 @@ class Moody(Matte):
 def test_radiance_mode_is_asked_at_all_angles(wrong, names):
     """Not only where maps are; the right one is the twin, of which nothing is found."""
     assert verdict(Moody).passed
+    assert verdict(Glass).passed  # over eta^2
     judged = verdict(Moody, wrong=wrong)
     for name in names:
         assert judged[name].effect == "biases images"
@@ -373,10 +374,13 @@ def test_a_mistake_in_one_place_is_found(place):
         return ALBEDO * dr.inv_pi * wo.z / self.density(si, wo)
 
     lobes = ("DiffuseReflection FrontSide SpatiallyVarying",)
-    found = verdict(Matte, density=density, weight=weight, lobes=lobes)["sampling"]
+    judged = verdict(Matte, density=density, weight=weight, lobes=lobes)
+    found, named = judged["sampling"], f"uv ({place[0]:g}, {place[1]:g})"
     assert found.status == "fails"
     if place != PLACES[0]:  # where maps are, too
-        assert f"uv ({place[0]:g}, {place[1]:g})" in found.statistic
+        assert named in found.statistic
+        # of all ratios, a sweep's are wrong there only
+        assert named in verdict(Matte, density=density, lobes=lobes).mistake
 
 
 # ----------------------------------------------------------------------------- lobes

@@ -119,6 +119,15 @@ def test_parameters_of_any_value_are_changed(kind, follows):
         assert told(reproducer(judged, "parameters")) > 1
 
 
+def test_one_of_many_parameters_that_is_ignored_is_found():
+    """Also if it is not among the few that are updated alone."""
+    idle = {f"idle_{i}": 0.5 for i in range(MAX_ALONE)}
+    values = {"a": 0.4, "k": 3.0} | idle
+    assert "k" not in parameters.few(values)
+    judged = verdict(values=values, parameters_changed=lambda *_: None)
+    assert judged["parameters"].mistake == "`pdf` does not follow a change of k"
+
+
 @pytest.mark.parametrize("asked", ["a", "k"])
 def test_a_parameter_that_is_followed_beside_others_only(asked):
     """The twin asks for the key of the parameter that matters."""

@@ -31,7 +31,8 @@ def check_identities(evidence: Evidence, samples: Samples) -> None:
     """
     _check_identities(evidence, samples)
     condition = samples.condition
-    if condition.component is None and _depends_on_mode(evidence.bsdf, samples):
+    whole = condition.mode == "importance" and condition.component is None
+    if whole and _depends_on_mode(evidence.bsdf, samples):
         radiance, key = replace(condition, mode="radiance"), (evidence.seed, 8)
         other = samples_of(evidence.bsdf, radiance, samples.n, key)
         evidence.in_radiance_mode.append(other)

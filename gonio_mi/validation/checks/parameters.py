@@ -95,7 +95,7 @@ def check_changes(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> Non
         evidence.test("parameters", _least_p(after), text)
         return
     # together, they may be out of their range
-    for name in (names := few(values)):
+    for name in values:
         found = _alone(evidence, plan, sides, name, values[name])
         if found is None:
             continue
@@ -108,7 +108,7 @@ def check_changes(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> Non
             evidence.breach("parameters", function, text, mistake, size=2.0, about=name)
         else:
             text = min(found.tests, key=lambda test: test.p).statistic
-            text, p = f"after a change of {name}: {text}", len(names) * _least_p(found)
+            text, p = f"after a change of {name}: {text}", len(values) * _least_p(found)
             kind = Kind.DENSITY_AFTER_A_CHANGE
             evidence.test("parameters", min(1.0, p), text, kind=kind, about=name)
             evidence.suspects["parameters"] = function, mistake
@@ -188,13 +188,14 @@ def _other(value: Any, step: float | None = None) -> Any:
     x = np.array(value, dtype=float)
     turns, size = _turns(x), np.abs(x).max(initial=0)
     table = isinstance(value, mi.TensorXf)
+    may_be_unit = x.size > 1 and not isinstance(value, (mi.Color3f, mi.Spectrum))
     if size == 0:
         x = x + (step or FAR)
     else:
         if step is None:
             # not beyond 1, where ranges end
             step = -FAR if size <= 1 or table else FAR
-        if abs(np.linalg.norm(x) - 1) < UNIT and x.size > 1 and not table:
+        if may_be_unit and not table and abs(np.linalg.norm(x) - 1) < UNIT:
             x = x + step * turns
             x = x / np.linalg.norm(x)
         else:
