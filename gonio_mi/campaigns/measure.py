@@ -92,7 +92,7 @@ def measure(
         "folder": folder,
         "progress": progress,
     }
-    if "whole" in settings:  # which is for those who call measure_whole
+    if "whole" in settings:  # is no setting, but for measure_whole
         MeasurementSettings().changed(whole=settings["whole"])
     record = _measured(specimen, theta_i, phi_i, **others, **settings)
     for sentence in lost_light(record):

@@ -91,7 +91,7 @@ def measure_orders(
     TypeError, ValueError, SpecimenError, VariantError, LostRaysError
         As of :func:`~gonio_mi.measure`.
     """
-    for name in sorted({"order", "resume"} & settings.keys()):
+    for name in sorted({"order", "resume", "whole"} & settings.keys()):
         raise SettingError(f"measure_orders does not accept {name}")
     parsed = list(dict.fromkeys(Order.parse("orders", one) for one in orders))
     if not parsed:
@@ -151,18 +151,30 @@ def measure_stacks(
         check_resumable(resume, setups, round_rays(setups[0]))
         finished[: len(resume)] = [[tally] for tally in resume.tallies]
     started = time.perf_counter()
-    complete = send_all(setups, finished, progress)
-    try:
-        records = records_of(setups, finished, complete, resume)
-    except KeyboardInterrupt:  # all rays are there: once more, with what was pressed
-        complete = False
-        records = records_of(setups, finished, complete, resume)
+    records, complete = carry_out(setups, finished, progress, resume)
     logger.info("measured for %.3g s: %r", time.perf_counter() - started, records[0])
     if not complete:
         if whole:
             raise KeyboardInterrupt
         warn_of_interruption(setups, records[0])
     return records
+
+
+def carry_out(
+    setups: Sequence[Setup],
+    finished: list[list[Tally]],
+    progress: bool = False,
+    resume: Record | None = None,
+) -> tuple[list[Record], bool]:
+    """Records of all setups, and whether they are complete, as of :func:`send_all`.
+
+    Ctrl-C while they are made costs no rays: they are made again, as interrupted.
+    """
+    complete = send_all(setups, finished, progress)
+    try:
+        return records_of(setups, finished, complete, resume), complete
+    except KeyboardInterrupt:
+        return records_of(setups, finished, False, resume), False
 
 
 def send_all(

@@ -14,7 +14,7 @@ import pytest
 import gonio_mi as gonio
 from gonio_mi import cli
 from gonio_mi.campaigns.measure import measure_whole
-from gonio_mi.instrument import launcher, measure as measuring, recording
+from gonio_mi.instrument import launcher, measure as measuring
 from gonio_mi.instrument.schedule import rounds
 
 pytestmark = pytest.mark.usefixtures("mono")
@@ -228,8 +228,8 @@ def test_ctrl_c_while_rendering(ctrl_c, at, each, monkeypatch):
         }
     )
     if not at:
-        makes = "gonio_mi.plugins.integrators.goniophotometer.records_of"
-        monkeypatch.setattr(makes, interrupted_once(recording.records_of))
+        makes = interrupted_once(measuring.records_of)
+        monkeypatch.setattr(measuring, "records_of", makes)
     ctrl_c(at)
     with pytest.raises(RuntimeError) as caught:
         mi.render(scene)

@@ -308,38 +308,43 @@ def test_radiance_mode_is_asked_at_all_angles(wrong, names):
         assert judged[name].effect == "biases images"
 
 
-@pytest.mark.parametrize("of_weight", [1.0, 1.2])
-def test_phase_functions_are_asked_in_radiance_mode(of_weight):
-    """As `volpath` asks them; where both functions are off, integrals tell."""
+def verdict_of_phase(weight, value):
+    """Of an isotropic phase function whose factors may depend on the context."""
 
-    class Bright(mi.PhaseFunction):
+    class Scatterer(mi.PhaseFunction):
         def __init__(self, props):
             mi.PhaseFunction.__init__(self, props)
             self.m_flags = mi.PhaseFunctionFlags.Isotropic
             self.m_components = [self.m_flags]
-            self.factor = props.get("factor", 1.2)
-
-        def of(self, ctx, factor):
-            return factor if ctx.mode == mi.TransportMode.Radiance else 1.0
 
         def sample(self, ctx, mei, sample1, sample2, active):  # noqa: ARG002
             wo = mi.warp.square_to_uniform_sphere(sample2)
-            weight = mi.Spectrum(self.of(ctx, min(of_weight, self.factor)))
-            return wo, weight, mi.Float(dr.inv_four_pi)
+            return wo, mi.Spectrum(weight(ctx)), mi.Float(dr.inv_four_pi)
 
         def eval_pdf(self, ctx, mei, wo, active):  # noqa: ARG002
-            value = self.of(ctx, self.factor) * dr.inv_four_pi
-            return mi.Spectrum(value), mi.Float(dr.inv_four_pi)
+            of_value = mi.Spectrum(value(ctx) * dr.inv_four_pi)
+            return of_value, mi.Float(dr.inv_four_pi)
 
         def to_string(self):
-            return "Bright[]"
+            return "Scatterer[]"
 
-    mi.register_phase("bright_phase", Bright)
-    assert validate({"type": "bright_phase", "factor": 1.0}, effort="quick").passed
-    judged = validate({"type": "bright_phase"}, effort="quick")
-    name = "sampled_weight" if of_weight == 1 else "energy"
-    assert judged[name].status == "fails"
-    assert "radiance mode" in judged[name].statistic
+    mi.register_phase("blind_scatterer", Scatterer)
+    return validate({"type": "blind_scatterer"}, effort="quick")
+
+
+@pytest.mark.parametrize(
+    ("of_weight", "name"), [(1.0, "sampled_weight"), (1.2, "energy")]
+)
+def test_phase_functions_are_asked_in_radiance_mode(of_weight, name):
+    """As `volpath` asks them; where both functions are off, integrals tell."""
+
+    def seen(factor):
+        return lambda ctx: factor if ctx.mode == mi.TransportMode.Radiance else 1.0
+
+    assert verdict_of_phase(seen(1.0), seen(1.0)).passed
+    found = verdict_of_phase(seen(of_weight), seen(1.2))[name]
+    assert found.status == "fails"
+    assert "radiance mode" in found.statistic
 
 
 # --------------------------------------------------------------------- weights, places
@@ -511,25 +516,8 @@ def test_a_null_lobe_is_compared_with_weight_times_pdf():
 
 
 def test_a_phase_function_that_loses_light_is_told_so():
-    class Lossy(mi.PhaseFunction):
-        def __init__(self, props):
-            mi.PhaseFunction.__init__(self, props)
-            self.m_flags = mi.PhaseFunctionFlags.Isotropic
-            self.m_components = [self.m_flags]
-
-        def sample(self, ctx, mei, sample1, sample2, active):  # noqa: ARG002
-            wo = mi.warp.square_to_uniform_sphere(sample2)
-            return wo, mi.Spectrum(0.97), mi.Float(dr.inv_four_pi)
-
-        def eval_pdf(self, ctx, mei, wo, active):  # noqa: ARG002
-            return mi.Spectrum(0.97 * dr.inv_four_pi), mi.Float(dr.inv_four_pi)
-
-        def to_string(self):
-            return "Lossy[]"
-
-    mi.register_phase("lossy_phase", Lossy)
-    found = validate({"type": "lossy_phase"}, effort="quick")
-    assert found.mistake == "`eval` loses light: 0.97 of it leaves"
+    judged = verdict_of_phase(lambda _: 0.97, lambda _: 0.97)
+    assert judged.mistake == "`eval` loses light: 0.97 of it leaves"
 
 
 @pytest.mark.parametrize("kept", [0.5, 0.6])

@@ -32,14 +32,14 @@ def check_identities(evidence: Evidence, samples: Samples) -> None:
     _check_identities(evidence, samples)
     condition = samples.condition
     whole = condition.mode == "importance" and condition.component is None
-    if whole and _depends_on_mode(evidence.bsdf, samples):
+    if whole and _modes_disagree(evidence.bsdf, samples):
         radiance, key = replace(condition, mode="radiance"), (evidence.seed, 8)
         other = samples_of(evidence.bsdf, radiance, samples.n, key)
         evidence.in_radiance_mode.append(other)
         _check_identities(evidence, other)
 
 
-def _depends_on_mode(bsdf: mi.BSDF, samples: Samples) -> bool:
+def _modes_disagree(bsdf: mi.BSDF, samples: Samples) -> bool:
     """Whether answers about samples differ between the modes by more than eta^2."""
     probe = Probe(bsdf, replace(samples.condition, mode="radiance"))
     bs, weight = probe.sample(*samples.random)
