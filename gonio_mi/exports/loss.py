@@ -10,6 +10,7 @@ import numpy as np
 
 from ..array_types import Floats
 from ..results.record import Record
+from ..single_precision import ROUNDING
 
 ZEMAX = ".zemax.bsdf"
 
@@ -137,7 +138,7 @@ def in_words(every: Sequence[Loss]) -> list[str]:
             line += f" incidence at {_place(worst)}"
         error = abs(off.written - off.recorded)
         line += f"; total off by {error:.2g}"
-        if round(error, 9) and len(some) > 1:
+        if error > ROUNDING and len(some) > 1:
             line += (
                 f" at {_place(off)}, the most at the record's own {len(some)} incident "
                 "directions"
