@@ -1,9 +1,21 @@
 """Public names by module, for type checkers; `__init__` imports them when used."""
 
+from .analysis.charts.chart import chart as chart
+from .analysis.charts.curves import Chart as Chart
+from .analysis.comparison.compare import compare as compare
+from .analysis.comparison.comparison import Comparison as Comparison
+from .analysis.comparison.measure_like import measure_like as measure_like
+from .analysis.exit_profile import (
+    ExitProfile as ExitProfile,
+    exit_profile as exit_profile,
+)
+from .analysis.fitting.fit import Fit as Fit, fit as fit
+from .analysis.micro_normals import (
+    MicroNormals as MicroNormals,
+    micro_normals as micro_normals,
+)
 from .campaigns.campaign import campaign as campaign
 from .campaigns.measure import measure as measure
-from .charts.chart import chart as chart
-from .charts.curves import Chart as Chart
 from .collector import (
     Borders as Borders,
     EqualAngle as EqualAngle,
@@ -15,9 +27,6 @@ from .collector import (
     subdivision as subdivision,
 )
 from .collector.apertures import Apertures as Apertures
-from .comparison.compare import compare as compare
-from .comparison.comparison import Comparison as Comparison
-from .comparison.measure_like import measure_like as measure_like
 from .errors import (
     FileFormatError as FileFormatError,
     LLVMError as LLVMError,
@@ -25,20 +34,15 @@ from .errors import (
     SpecimenError as SpecimenError,
     VariantError as VariantError,
 )
-from .exports import (
+from .exchange.exports import (
     Loss as Loss,
     Product as Product,
     bsdf as bsdf,
     export as export,
 )
+from .exchange.formats.reading import read_measured as read_measured
 from .files import load as load
 from .files.measured_table import MeasuredTable as MeasuredTable
-from .fitting.fit import Fit as Fit, fit as fit
-from .formats.reading import read_measured as read_measured
-from .instrument.exit_profile import (
-    ExitProfile as ExitProfile,
-    exit_profile as exit_profile,
-)
 from .instrument.measure import measure_orders as measure_orders
 from .instrument.mesh import mesh as mesh
 from .plots import plot as plot
@@ -46,10 +50,6 @@ from .reports import report as report
 from .results.planning import Plan as Plan, plan as plan
 from .results.record import Record as Record
 from .results.tally import Ledger as Ledger
-from .surfaces.micro_normals import (
-    MicroNormals as MicroNormals,
-    micro_normals as micro_normals,
-)
 from .validation.validate import validate as validate
 from .validation.verdict import Verdict as Verdict
 

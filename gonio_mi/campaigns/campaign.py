@@ -16,12 +16,12 @@ from numpy.typing import ArrayLike
 
 from ..errors import SettingError, SettingTypeError, checked_count, shown
 from ..instrument.incidence import incident_angles
+from ..materials.known_directions import KnownDirections
+from ..materials.whole_bsdf import WholeBsdf, checked_theta_max, checked_tolerance
 from ..results.record import Record
 from ..settings import MeasurementSettings
 from ..transport.variants import check_unpolarised, check_variant, is_parallel
 from .execution import Surroundings, records_of
-from .known_directions import KnownDirections
-from .whole_bsdf import WholeBsdf, checked_theta_max, checked_tolerance
 
 # Workers, and threads of each.
 MAX_THREADS = 2**16

@@ -387,7 +387,7 @@ def check_no_table_options(
 
 def table_of(path: str, options: argparse.Namespace) -> MeasuredTable:
     """Table of a file, read as the options say."""
-    from ..formats.reading import read_measured
+    from ..exchange.formats.reading import read_measured
 
     columns = dict(options.columns) if options.columns else None
     try:

@@ -103,9 +103,9 @@ def record_of(path: str) -> Record:
 def _kind(path: Path) -> tuple[str, str]:
     """What commands take a file as, and a sentence on it."""
     from .. import files
-    from ..formats import height_maps
-    from ..formats.meshes import MESHES
-    from ..formats.reading import endings_of, format_of
+    from ..exchange.formats.reading import endings_of, format_of
+    from ..surfaces import height_maps
+    from ..surfaces.meshes import MESHES
 
     with path.open("rb") as stream:
         head = stream.read(HEAD)

@@ -12,10 +12,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from .. import exports, files
+from .. import files
 from ..campaigns.campaign import campaign
 from ..campaigns.measure import measure
 from ..errors import LostLightWarning, SettingError
+from ..exchange import exports
 from ..instrument.measure import measure_orders
 from ..instrument.specimen_text import SpecimenLike
 from ..plots import ANIMATION_ENDINGS, FIGURE_ENDINGS

@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import SettingError
-from ..formats.height_maps import is_height_map
-from ..formats.meshes import is_mesh
 from ..instrument.loading import surface_specimen
 from ..instrument.mesh import NORMALS, mesh
 from ..instrument.specimen_text import SpecimenLike, parse_specimen
+from ..surfaces.height_maps import is_height_map
 from ..surfaces.heights import FILLS, FORMS
+from ..surfaces.meshes import is_mesh
 from ..surfaces.topography import UNITS
 from .arguments import (
     DONE,
@@ -178,10 +178,10 @@ def prepared_surface(specimen: SpecimenLike, options: Namespace) -> Any:
 
 def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
-    from ..formats.height_maps import read_height_map
+    from ..analysis.micro_normals import micro_normals
     from ..plots import check_picture
+    from ..surfaces.height_maps import read_height_map
     from ..surfaces.images import image_heights
-    from ..surfaces.micro_normals import micro_normals
     from ..surfaces.topography import Preparation, topography
 
     if options.output is not None:

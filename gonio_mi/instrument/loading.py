@@ -27,9 +27,9 @@ from ..errors import (
     shown,
     tells_of_our_bug,
 )
-from ..formats.height_maps import is_height_map
-from ..formats.meshes import is_mesh
-from ..formats.tensor_file import check_measured
+from ..files.tensor_file import check_measured
+from ..surfaces.height_maps import is_height_map
+from ..surfaces.meshes import is_mesh
 from ..threads import two_threads
 from ..transport.kernels import launches_kernels
 from ..transport.shapes import WATERTIGHT, remember, scene_of

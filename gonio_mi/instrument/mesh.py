@@ -20,7 +20,7 @@ from ..errors import (
     shown,
     warn,
 )
-from ..formats.meshes import MESHES, is_mesh
+from ..surfaces.meshes import MESHES, is_mesh
 from ..transport.shapes import bounds
 from ..transport.variants import check_variant, is_parallel
 from .loading import loaded

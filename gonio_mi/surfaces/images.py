@@ -6,8 +6,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..formats.height_maps import unreadable
 from ..threads import take_two_threads
+from .height_maps import unreadable
 
 
 def image_heights(path: Path) -> NDArray[np.generic]:

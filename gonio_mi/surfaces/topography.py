@@ -10,8 +10,8 @@ import numpy as np
 
 from ..array_types import Floats
 from ..errors import SettingError, printable, shown
-from ..formats.height_maps import HeightMap
 from ..single_precision import ROUNDING
+from .height_maps import HeightMap
 from .heights import (
     MAX_LENGTH,
     HeightStatistics,

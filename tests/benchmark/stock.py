@@ -8,10 +8,10 @@ from typing import Any
 import mitsuba as mi
 
 from gonio_mi.campaigns.measure import measure
-from gonio_mi.exports.exporting import export
+from gonio_mi.exchange.exports.exporting import export
 from gonio_mi.validation.validate import validate
 from gonio_mi.validation.verdict import Verdict
-from gonio_mi.versions.stock import cases
+from gonio_mi.validation.versions.stock import cases
 
 __all__ = ["coloured", "main"]
 

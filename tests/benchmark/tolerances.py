@@ -16,13 +16,9 @@ import numpy as np
 
 from gonio_mi.campaigns.campaign import campaign
 from gonio_mi.campaigns.execution import Surroundings, records_of
-from gonio_mi.campaigns.known_directions import (
-    CONFIRMING,
-    NOISE,
-    may_exceed,
-)
-from gonio_mi.campaigns.prediction import Prediction
 from gonio_mi.errors import SpecimenError
+from gonio_mi.materials.known_directions import CONFIRMING, NOISE, may_exceed
+from gonio_mi.materials.prediction import Prediction
 from gonio_mi.results.campaign_outcome import PredictionError
 from gonio_mi.results.prediction_error import prediction_error
 from gonio_mi.results.record import Record

@@ -21,8 +21,8 @@ import numpy as np
 
 from gonio_mi.array_types import Floats
 from gonio_mi.collector.klems import Klems
-from gonio_mi.exports import bsdf
-from gonio_mi.formats import radiance
+from gonio_mi.exchange.exports import bsdf
+from gonio_mi.exchange.formats import radiance
 
 from .table import print_table
 

@@ -10,7 +10,7 @@ import pytest
 
 import gonio_mi as gonio
 from gonio_mi.cli import COMMANDS
-from gonio_mi.formats import reading
+from gonio_mi.exchange.formats import reading
 
 ROOT = Path(__file__).parents[2]
 PAGES = ROOT / "notebooks"

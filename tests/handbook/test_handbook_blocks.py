@@ -21,7 +21,7 @@ import pytest
 import surface_files
 
 from gonio_mi.cli import main
-from gonio_mi.formats import height_map_reader, height_maps
+from gonio_mi.surfaces import height_map_reader, height_maps
 from gonio_mi.surfaces.heights import gaussian_heights
 
 tomllib = pytest.importorskip("tomllib")

@@ -393,7 +393,7 @@ def kinds():
     from scatter_trials import scatter_kinds
 
     import gonio_mi as gonio
-    from gonio_mi.formats.reading import read_measured
+    from gonio_mi.exchange.formats.reading import read_measured
 
     record = synthetic.record("projected:3x4", theta_i=(0, 40), phi_i=(0, 0), both=True)
     return {
@@ -427,7 +427,7 @@ def _write_csv(path):
 
 
 def _write_astm(path):
-    from gonio_mi.formats import astm
+    from gonio_mi.exchange.formats import astm
 
     angles = np.random.default_rng(0).uniform(0, 1.5, (20, 4))
     with open(path, "wb") as stream:
@@ -435,13 +435,13 @@ def _write_astm(path):
 
 
 def _read_astm(path):
-    from gonio_mi.formats.reading import read_measured
+    from gonio_mi.exchange.formats.reading import read_measured
 
     return read_measured(path, None)
 
 
 def _write_klems(path):
-    from gonio_mi.formats import radiance
+    from gonio_mi.exchange.formats import radiance
 
     blocks = {("Visible", "Reflection Back"): np.full((145, 145), 0.1)}
     with open(path, "wb") as stream:
@@ -449,8 +449,8 @@ def _write_klems(path):
 
 
 def _write_tensor(path):
-    from gonio_mi.formats import radiance
-    from gonio_mi.formats.tensor_tree import TensorTree
+    from gonio_mi.exchange.formats import radiance
+    from gonio_mi.exchange.formats.tensor_tree import TensorTree
 
     values = np.random.default_rng(0).uniform(0, 1, (4, 4, 4))
     blocks = {("Visible", "Reflection Back"): TensorTree.of(values)}
@@ -459,7 +459,7 @@ def _write_tensor(path):
 
 
 def _read_radiance(path):
-    from gonio_mi.formats.radiance import RadianceBSDF
+    from gonio_mi.exchange.formats.radiance import RadianceBSDF
 
     with open(path, "rb") as stream:
         bsdf = RadianceBSDF(stream)
@@ -487,14 +487,14 @@ def measured_fields():
 
 
 def _write_bsdf(path):
-    from gonio_mi.formats import tensor_file
+    from gonio_mi.files import tensor_file
 
     with open(path, "wb") as stream:
         tensor_file.write(measured_fields(), stream)
 
 
 def _read_tensor_file(path):
-    from gonio_mi.formats import tensor_file
+    from gonio_mi.files import tensor_file
 
     with open(path, "rb") as stream:
         return tensor_file.read(stream)
@@ -522,7 +522,7 @@ def _write_stack(path):
 
 def _read_heights(path):
     """Heights of an instrument's file, read in this process of limited memory."""
-    from gonio_mi.formats import height_map_reader, height_maps
+    from gonio_mi.surfaces import height_map_reader, height_maps
 
     height_maps.read_apart = height_map_reader.read
     return height_maps.read_height_map(path, None).heights

@@ -30,7 +30,7 @@ SMALL = 9, 9, 18
 
 def scatter_kinds(kind):
     """Kinds of trials by name; `kind` is the class of files that are damaged."""
-    from gonio_mi.formats import open_material, speos, zemax
+    from gonio_mi.exchange.formats import open_material, speos, zemax
 
     def grid(write, specular):
         return lambda path: path.write_bytes(_written(write, specular))
@@ -52,7 +52,7 @@ def scatter_kinds(kind):
 
 def _written(write, specular):
     """Bytes of a small file of two incidences."""
-    from gonio_mi.formats.scatter import Block, Scatter
+    from gonio_mi.exchange.formats.scatter import Block, Scatter
 
     polar, azimuth = np.linspace(0, 90, 4), np.arange(0, 361, 60.0)
     values = np.random.default_rng(0).uniform(0.1, 0.3, (4, len(azimuth), 1))
@@ -63,7 +63,7 @@ def _written(write, specular):
 
 
 def _write_merl(path):
-    from gonio_mi.formats import merl
+    from gonio_mi.exchange.formats import merl
 
     merl.CELLS = SMALL
     with open(path, "wb") as stream:
@@ -71,7 +71,7 @@ def _write_merl(path):
 
 
 def _table(path):
-    from gonio_mi.formats.reading import read_measured
+    from gonio_mi.exchange.formats.reading import read_measured
 
     return read_measured(path)
 
@@ -79,8 +79,8 @@ def _table(path):
 def _material(path):
     """What a file says as a material, and as a table."""
     from gonio_mi.collector import EqualAngle
-    from gonio_mi.formats.reading import read_measured, read_scatter
-    from gonio_mi.formats.scatter import scatter_means
+    from gonio_mi.exchange.formats.reading import read_measured, read_scatter
+    from gonio_mi.exchange.formats.scatter import scatter_means
 
     scatter = read_scatter(path)
     scatter_means(scatter, EqualAngle(2, 4))

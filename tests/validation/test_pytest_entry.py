@@ -24,7 +24,14 @@ gonio_bsdfs =
     lambert --no-such-option
 """
 # Whatever is installed, this checkout is tested.
-THIS = ("-p", "no:gonio_mi", "-p", "gonio_mi.pytest_entry", "-p", "no:cacheprovider")
+THIS = (
+    "-p",
+    "no:gonio_mi",
+    "-p",
+    "gonio_mi.validation.pytest_entry",
+    "-p",
+    "no:cacheprovider",
+)
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ import pytest
 from benchmark.stock import coloured
 from scipy import stats
 
-from gonio_mi.formats import tensor_file
+from gonio_mi.files import tensor_file
 from gonio_mi.single_precision import BSDF_ROUNDING
 
 pytestmark = pytest.mark.usefixtures("mono")

@@ -7,9 +7,9 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 
-from gonio_mi.formats.meshes import read_stl
 from gonio_mi.mitsuba_names import mesh_of
 from gonio_mi.settings.declaration import example
+from gonio_mi.surfaces.meshes import read_stl
 
 
 @example(

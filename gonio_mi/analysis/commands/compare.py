@@ -1,0 +1,225 @@
+"""``gonio-mi compare``: compare with another record or with measured values.
+
+Compare a record with another record of the same collector, patch by patch, or with a
+table of measured values: text with columns, or a file of Zemax, Speos, FRED,
+OpenMATERIAL or MERL. A specimen in place of the record is measured at the solid angles
+of the table and under its emitter; a specimen in place of the other is measured as the
+record was.
+"""
+
+import re
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+from typing import Any
+
+from ... import files
+from ...commands.arguments import (
+    DEFAULT_VARIANT,
+    DONE,
+    FAILED,
+    INCOMPLETE,
+    add_aperture,
+    add_json,
+    add_number,
+    add_scene_options,
+    add_setting,
+    add_table_options,
+    add_text,
+    add_uncertainties,
+    check_no_table_options,
+    given_options,
+    option_of,
+    specimen_of,
+    table_of,
+    tell,
+    tell_json,
+    variant_for,
+)
+from ...commands.file_kinds import is_table, record_of
+from ...errors import SettingError
+from ...exchange.tables.reader import OpenQuestionsError, check_nothing_open
+from ...surfaces.meshes import MESHES
+
+USAGE = "%(prog)s RECORD OTHER [options]"
+
+EXAMPLES = """\
+examples:
+  gonio-mi compare run.npz another.npz
+  gonio-mi compare run.npz measured.csv --uncertainty 0.005 -o compared.png
+  gonio-mi compare roughconductor:alpha=0.2 measured.csv --budget budget.csv
+  gonio-mi compare diffuse panel.txt --channel 550nm \\
+      --quantity reflectance_factor --columns theta_i=src_z theta_o=view_z \\
+      --azimuth mirror --aperture-half-angle 1
+  gonio-mi compare run.npz roughconductor:alpha=0.21
+
+The table's header holds lines such as `# quantity: brdf`, `# uncertainty: 0.005`,
+`# aperture_half_angle: 0.75` and `# emitter_half_angle: 0.25`; angles are in degrees.
+For a table of a wavelength the default variant is llvm_ad_spectral. Exit code 3: they
+differ by more than chance explains; 2: patches cannot decide it.
+"""
+
+# Settings with which a specimen is measured.
+MEASURED = ("rays", "rel_err", "divergence")
+
+# What names a specimen, and no table.
+SCENES = (".xml", *MESHES)
+SPECIMEN = re.compile(r"[A-Za-z_]\w*(:.*)?")
+
+
+def add_options(parser: ArgumentParser) -> None:
+    """Add the options of the command to its parser."""
+    text = "An .exr or .npz file, or a specimen to be measured as OTHER was."
+    add_text(parser, "record", "RECORD", text)
+    text = "An .exr or .npz file, a table, or a specimen, if RECORD is a file."
+    add_text(parser, "other", "OTHER", text)
+    add_table_options(parser)
+    add_uncertainties(parser, "OTHER")
+    text = "Probability with which equal values are reported to differ."
+    add_number(parser, "--alpha", "P", text, 1e-3)
+    add_json(parser)
+    text = "Picture of both curves, such as a.png."
+    parser.add_argument("-o", "--output", metavar="FIG", help=text)
+    add_text(
+        parser,
+        "--budget",
+        "CSV",
+        "Write the uncertainty of each point by source: rays, single precision, "
+        "instrument, calibration and, of a specimen with a table, aperture.",
+    )
+    specimen = parser.add_argument_group("Specimen")
+    for name in ("rays", "rel_err", "divergence", "seed"):
+        add_setting(specimen, name)
+    add_aperture(specimen)
+    add_scene_options(parser)
+    # that of the record, or what a table's channel needs
+    parser.set_defaults(variant=None)
+
+
+def run(options: Namespace) -> int:
+    """Run the command and return the exit code."""
+    from ...plots import check_picture
+    from ..comparison import compare
+
+    if options.output is not None:
+        check_picture(options.output)
+    if options.budget is not None:
+        files.check_output(options.budget, (".csv",))
+    other = _other(options)
+    record, specimen = _record(options, other)
+    if specimen is not None and other is None:
+        other, record = record, _measured(specimen, record, options)
+    elif specimen is not None:
+        record = _measured(specimen, other, options)
+    comparison = compare(
+        record,
+        other,
+        uncertainty=options.uncertainty,
+        scale_uncertainty=options.scale_uncertainty,
+        alpha=options.alpha,
+    )
+    if options.output is not None:
+        comparison.plot(options.output)
+    said = [comparison]
+    try:
+        if options.budget is not None:
+            said.append(_saved_budget(comparison, specimen, other, options))
+    finally:  # also if the effect of the aperture cannot be told
+        if options.json:
+            tell_json(comparison.to_dict())
+        else:
+            for one in said:
+                tell(one)
+    if comparison.undecided:
+        return INCOMPLETE
+    return DONE if comparison.passed else FAILED
+
+
+def _is_record(path: str) -> bool:
+    return Path(path).suffix.lower() in files.ENDINGS
+
+
+def _other(options: Namespace) -> Any:
+    """Record or table that OTHER is; None if it is a specimen."""
+    word = options.other
+    names_specimen = Path(word).suffix.lower() in SCENES or (
+        SPECIMEN.fullmatch(word) and not Path(word).exists()
+    )
+    if _is_record(word) or (names_specimen and _is_record(options.record)):
+        check_no_table_options(word, options)
+        return record_of(word) if _is_record(word) else None
+    if is_table(options.record):
+        raise SettingError(
+            "RECORD must be an .exr or .npz file or a specimen, got the table "
+            f"{options.record}: two tables cannot be compared, and a table comes second"
+        )
+    try:
+        return table_of(word, options)
+    except OpenQuestionsError as error:
+        if _is_record(options.record) or options.aperture_half_angle is not None:
+            raise
+        aperture = "unless its header states the aperture, say --aperture-half-angle"
+        check_nothing_open(error.place, [*error.questions, aperture])
+
+
+def _record(options: Namespace, other: Any) -> tuple[Any, Any]:
+    """Record that RECORD is, and the specimen that is to be measured, or None."""
+    word = options.record
+    if not _is_record(word):
+        if _is_record(options.other):
+            raise SettingError(
+                f"RECORD must be an .exr or .npz file if OTHER is one, got {word}"
+            )
+        options.variant = options.variant or variant_for(other.channel)
+        return None, specimen_of(word, options)
+    if other is None:
+        record = record_of(word)
+        own = record.provenance.variant or DEFAULT_VARIANT
+        options.variant = options.variant or own
+        return record, specimen_of(options.other, options)
+    for name in given_options(options, ("aperture_half_angle", *MEASURED)):
+        raise SettingError(
+            f"{option_of(name)} applies to a specimen that is to be measured, got "
+            f"the record {word}"
+        )
+    return record_of(word), None
+
+
+def _measured(specimen: tuple[Any, Any], like: Any, options: Namespace) -> Any:
+    """Records of a specimen, measured like a table or a record."""
+    from ..comparison import measure_like
+
+    return measure_like(
+        specimen[0],
+        like,
+        parameters=specimen[1],
+        aperture_half_angle=options.aperture_half_angle,
+        seed=options.seed,
+        progress=True,
+        **given_options(options, MEASURED),
+    )
+
+
+def _saved_budget(
+    comparison: Any, specimen: Any, other: Any, options: Namespace
+) -> Any:
+    """Uncertainty budget, after it was written."""
+    from ...files.measured_table import MeasuredTable
+    from ..comparison import aperture_effect, uncertainty_budget
+
+    aperture, scale = None, options.scale_uncertainty
+    if isinstance(other, MeasuredTable):
+        scale = other.scale_uncertainty if scale is None else scale
+        in_patches = options.aperture_half_angle is None and other.patches is not None
+        if specimen is not None and not in_patches:
+            aperture = aperture_effect(
+                specimen[0],
+                other,
+                comparison,
+                parameters=specimen[1],
+                aperture_half_angle=options.aperture_half_angle,
+                seed=options.seed,
+                **given_options(options, MEASURED),
+            )
+    budget = uncertainty_budget(comparison, scale or 0.0, aperture)
+    budget.save(options.budget)
+    return budget

@@ -1,0 +1,271 @@
+"""Comparison of a record with another record or with measured values: the tests."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ...array_types import Flags, Floats
+from ...collector.directions import azimuths_deg
+from ...errors import (
+    LABEL,
+    SettingError,
+    SettingTypeError,
+    abridged,
+    checked_number,
+    shown,
+)
+from ...files.measured_table import ANGLE_DIGITS, COLUMNS, NUMBERS, MeasuredTable
+from ...results.record import Record
+from ...results.tally import ELEMENT_NAMES, PolarisedTally, without_chance
+from .agreement import MIN_STUDENT_HITS, PointSet, judge, mostly_few
+from .comparison import Comparison
+from .pairing import (
+    check_uncertainties,
+    labels,
+    pair_with_record,
+    pair_with_table,
+    same_rays,
+)
+from .patch_variation import left_undecided
+
+# Note on a record of integrals.
+OF_EVAL = (
+    "the values are integrals of eval, to their own error: whether sample agrees with "
+    "it, gonio-mi validate tells"
+)
+
+# Note on quasi-Monte Carlo rays.
+POWERLESS = (
+    f"with quasi-Monte Carlo rays and fewer than {MIN_STUDENT_HITS} hits in most "
+    "patches the chi-square has next to no power to find a difference; take more "
+    "rays, or the sampler independent"
+)
+
+# Probability with which a right model is rejected.
+ALPHA = 1e-3
+
+
+def compare(
+    record: Record | Sequence[Record],
+    other: Record | MeasuredTable,
+    *,
+    uncertainty: float | None = None,
+    scale_uncertainty: float | None = None,
+    alpha: float = ALPHA,
+) -> Comparison:
+    r"""Compare a record with another one, or with measured values.
+
+    The difference of each point over its standard error, from both uncertainties, is
+    taken as Student's t with Welch's degrees of freedom, or those of a table if they
+    are fewer, and turned into the normal score z of the same probability. A patch with
+    fewer than 1000 hits has the smaller score of that and of the exact test of its hits
+    (of Poisson's law, spread by the uncertainty of the measured value; for two records
+    given their sum), so that empty patches count too. Three tests share `alpha`
+    (Bonferroni):
+
+    * the sum of the squares of z (and of the fitted common factor, in units of its
+      uncertainty), as a chi-square whose degrees of freedom ``n**2 / trace(R**2)`` come
+      from the correlation R of the points that the batches tell;
+      Quasi-Monte Carlo rays (`sobol`) scatter less than the exact test of few hits
+      allows: with fewer than 1000 hits in most patches this test has next to no power,
+      on the safe side, and a note says so;
+    * the largest ``abs(z)``, as if the points were independent, which is on the safe
+      side (Sidak);
+    * the flux through all points together, per incident direction, hemisphere and
+      channel, if it had 1000 hits: a small error everywhere shows here.
+
+    Parameters
+    ----------
+    record : Record or sequence of Record
+        Several, if `other` is a table: what `measure_like` returns.
+    other : Record or MeasuredTable
+        A record must have the same collector, channels and incident directions: there
+        is no honest way from one set of patch means to another. Where only one has a
+        lower hemisphere, no light may have come there. Of records of polarised variants
+        all elements of Mueller matrices are compared, as half the sum of each with the
+        first one; with a record or table without them the first one alone. A note tells
+        other conditions that are not the same: side, footprint, divergence, order and
+        so on; and, if they agree, a seed that is the same, as then the rays are, too.
+        Of a table each point is compared with the mean of the patch that holds it,
+        within what the BRDF may do there; points of patches that are too coarse are
+        left out.
+    uncertainty : float, optional
+        Relative standard uncertainty of each value of `other`, independent between
+        points and in addition to what `other` knows itself: 0.005 is 0.5 %. Default:
+        what the table says.
+    scale_uncertainty : float, optional
+        The same of a factor common to all its values: calibration.
+    alpha : float
+        Probability in (0, 1) with which two that have the same true values fail.
+
+    Returns
+    -------
+    Comparison
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the two cannot be compared: the message names what differs.
+    """
+    alpha = checked_number("alpha", alpha, 1e-100, 1, "a probability between 0 and 1")
+    records = [record] if isinstance(record, Record) else list(record)
+    if not records or not all(isinstance(r, Record) for r in records):
+        raise SettingTypeError(
+            f"record must be a Record or several, got {shown(record)}"
+        )
+    integrated = isinstance(other, MeasuredTable) and any(
+        without_chance(one.tallies) for one in records
+    )
+    for one in (*records, other):
+        if isinstance(one, Record) and not integrated:
+            check_uncertainties(one)
+    sets, notes, compared, scale = _paired(
+        records, other, uncertainty, scale_uncertainty
+    )
+    if integrated:
+        notes.append(OF_EVAL)
+    measured = [*records, other] if isinstance(other, Record) else records
+    z, errors, statistics, p_values = judge(sets, scale)
+    if len(p_values) * min(p_values.values()) >= alpha:
+        notes += same_rays(records, other)
+        if any(map(_is_even, measured)) and mostly_few(sets):
+            notes.append(POWERLESS)
+    undecided = left_undecided(sets, scale, p_values, alpha, notes)
+    columns = {
+        name: np.concatenate([one.columns[name] for one in sets])
+        for name in sets[0].columns
+    }
+    columns |= {name: azimuths_deg(columns[name]) for name in ("phi_i", "phi_o")}
+    found = Comparison(
+        **columns,
+        value=np.concatenate([one.readings.value for one in sets]),
+        std_err=np.concatenate([one.readings.std_err for one in sets]),
+        other=np.concatenate([one.other for one in sets]),
+        other_std_err=errors,
+        z=z,
+        statistics=statistics,
+        p_values=p_values,
+        alpha=alpha,
+        notes=tuple(notes),
+        labels=compared,
+        undecided=undecided,
+        within_patches=any(one.variation is not None for one in sets),
+    )
+    if isinstance(other, MeasuredTable) and found.verdict == "differ":
+        given = uncertainty, scale_uncertainty, alpha
+        more = _note_on_azimuths(records, other, given)
+        found = replace(found, notes=(*found.notes, *more))
+    return found
+
+
+def _note_on_azimuths(
+    records: Sequence[Record],
+    table: MeasuredTable,
+    given: tuple[float | None, float | None, float],
+) -> list[str]:
+    """Note that a table would agree, were its azimuths counted in another way."""
+    ways = {
+        "its mirror image at the plane of incidence": 2 * table.phi_i - table.phi_o,
+        "the table with azimuths of exit clockwise": -table.phi_o,
+        "the table with azimuths of exit 180 degrees on": table.phi_o + 180,
+    }
+    uncertainty, scale_uncertainty, alpha = given
+    for way, azimuth in ways.items():
+        if np.allclose(*np.exp(1j * np.radians([table.phi_o, azimuth]))):
+            continue  # all in the plane of incidence
+        turned = replace(table, phi_o=azimuth)
+        try:
+            paired = _paired(records, turned, uncertainty, scale_uncertainty)
+        except SettingError:  # apertures stand elsewhere: most of them may not
+            both = _measured_both_ways(table, azimuth)
+            if 2 * both.sum() < len(table):
+                continue
+            names = [*COLUMNS, *(["sigma"] if table.sigma is not None else [])]
+            columns = {name: getattr(turned, name)[both] for name in names}
+            turned = replace(turned, **columns)
+            paired = _paired(records, turned, uncertainty, scale_uncertainty)
+        sets, notes, _, scale = paired
+        p_values = judge(sets, scale)[3]
+        undecided = left_undecided(sets, scale, p_values, alpha, notes)
+        if not undecided and len(p_values) * min(p_values.values()) >= alpha:
+            return [f"{way} would agree"]
+    return []
+
+
+def _measured_both_ways(table: MeasuredTable, azimuth: Floats) -> Flags:
+    """Points whose direction of exit is the table's with the other azimuths too."""
+
+    def places(phi_o: Floats) -> list[tuple[float, ...]]:
+        """Both directions of each point, rounded."""
+        polar = table.theta_i, table.theta_o
+        turns = np.radians([table.phi_i, phi_o])
+        columns = np.round([*polar, *np.cos(turns), *np.sin(turns)], ANGLE_DIGITS) + 0.0
+        return [tuple(one) for one in columns.T.tolist()]
+
+    known = {*places(table.phi_o)}
+    return np.array([place in known for place in places(azimuth)])
+
+
+def _paired(
+    records: Sequence[Record],
+    other: Record | MeasuredTable,
+    uncertainty: float | None,
+    scale_uncertainty: float | None,
+) -> tuple[list[PointSet], list[str], tuple[str, str], float]:
+    """Sets of points of both, notes, labels, and the uncertainty of a common factor."""
+    given = {"uncertainty": uncertainty, "scale_uncertainty": scale_uncertainty}
+    if isinstance(other, MeasuredTable):
+        stated: Any = {k: v for k, v in given.items() if v is not None}
+        table = replace(other, **stated)
+        sets, notes = pair_with_table(records, table)
+        names = records[0].provenance.name, table.name
+        compared = abridged(names[0], LABEL), abridged(names[1], LABEL)
+        return sets, notes, compared, table.scale_uncertainty
+    if isinstance(other, Record):
+        if len(records) != 1:
+            raise SettingTypeError(
+                "record must be one Record if other is one, got several"
+            )
+        relative, scale = (
+            checked_number(name, value or 0, *NUMBERS[name])
+            for name, value in given.items()
+        )
+        first, second, notes = _with_all_elements(records[0], other)
+        sets, more = pair_with_record(first, second, relative)
+        return sets, notes + more, labels(records[0], other), scale
+    raise SettingTypeError(
+        f"other must be a Record or a MeasuredTable, got {shown(other)}"
+    )
+
+
+def _with_all_elements(
+    record: Record, other: Record
+) -> tuple[Record, Record, list[str]]:
+    """Records whose channels are the elements of Mueller matrices, if both have them.
+
+    Half the sum of each with the first one, which is a flux; and notes.
+    """
+    if record.polarised and other.polarised:
+        return _as_channels(record), _as_channels(other), []
+    if record.polarised or other.polarised:
+        return record, other, ["one record has no Mueller matrices: M00 is compared"]
+    return record, other, []
+
+
+def _as_channels(record: Record) -> Record:
+    """Record of light whose channels are elements, each with half of the first."""
+    names = ["", *(f" (M00 + {element})/2" for element in ELEMENT_NAMES)]
+    tallies = [one for one in record.tallies if isinstance(one, PolarisedTally)]
+    return replace(
+        record,
+        channels=tuple(f"{one}{name}" for name in names for one in record.channels),
+        tallies=tuple(one.halves() for one in tallies),
+    )
+
+
+def _is_even(record: Record) -> bool:
+    """Whether its rays are quasi-Monte Carlo: more even than independent ones."""
+    sampled = not record.asked.estimator.integrates
+    return sampled and record.provenance.sampler != "independent"

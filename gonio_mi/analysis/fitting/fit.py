@@ -1,0 +1,398 @@
+"""Parameters of a BSDF from a record or a table, with their uncertainties."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from os import PathLike
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from ...array_types import Floats
+from ...errors import SettingError
+from ...files.measured_table import MeasuredTable
+from ...instrument.measure import measure_each
+from ...instrument.specimen_text import parse_specimen, specimen_name
+from ...progress import bar
+from ...reports.page import picture_and_text
+from ...results.azimuth_symmetry import without_copies
+from ...results.record import Record, wavelengths_nm
+from ...transport.kernels import launches_kernels
+from .least_squares import FittedModel, Search
+from .observations import Observations, RecordObservations, TableObservations
+
+# Rounds of refined nodes and weights; a round is the last that moves no parameter by
+# more than a part of its uncertainty, or of itself, which no node would notice.
+MAX_ROUNDS, MAX_MOVE_STD_ERRS, MAX_REL_MOVE = 8, 0.02, 1e-3
+
+
+@launches_kernels()
+def fit(
+    record: Record | MeasuredTable,
+    model: str | Mapping[str, Any],
+    free: Sequence[str] | None = None,
+    *,
+    uncertainty: float | None = None,
+    scale_uncertainty: float | None = None,
+    aperture_half_angle: float | None = None,
+    progress: bool = False,
+) -> Fit:
+    """Find the parameters with which a BSDF is closest to a record or a table.
+
+    Minimised is chi-square, the sum over the patches of all incident directions of the
+    squared differences of record and model over their variances; the model's patches
+    are integrals of its ``eval``. Variances are pooled over patches that the model
+    makes alike. The covariance is that of the estimate over the record's own batches,
+    so that it knows how patches depend on each other. Directions that a campaign copied
+    from others are left out, since they would count their noise twice.
+
+    Parameters
+    ----------
+    record : Record or MeasuredTable
+        Of a collimated beam, with error bars. A table's values are means over its
+        aperture, or over its patches as in one that :func:`gonio_mi.export` wrote, or
+        if it states neither, the BSDF in its directions; without any uncertainty they
+        are taken for uncertain by one part of themselves.
+    model : str or dict
+        BSDF plugin with what is known of it: ``"roughconductor:distribution=ggx"``.
+    free : sequence of str, optional
+        Parameters to be found; with limits, ``"weight=0:1"``, of any name. Default for
+        ``diffuse``: reflectance; ``roughconductor``: alpha and specular_reflectance, of
+        a metal that reflects all light unless it is said; ``roughdielectric``: alpha,
+        int_ior; ``roughplastic``: alpha, int_ior, diffuse_reflectance; ``principled``:
+        base_color, roughness, metallic, specular. Mitsuba has air, of index 1.000277,
+        outside unless ``ext_ior`` is said. Colours of three channels are within 0 and
+        1, as Mitsuba loads no others: one that would pass 1 is in ``at_limit``.
+    uncertainty, scale_uncertainty : float, optional
+        Of the values of a table, as of :func:`gonio_mi.compare`. Default: what it says.
+    aperture_half_angle : float, optional
+        Of the detector in degrees, if a table does not say it.
+    progress : bool
+        Show a progress bar on standard error.
+
+    Returns
+    -------
+    Fit
+
+    Raises
+    ------
+    ValueError
+        If the record cannot be fitted, or does not determine the parameters.
+    """
+    bsdf = parse_specimen(model) if isinstance(model, str) else dict(model)
+    if not isinstance(bsdf, dict):
+        raise SettingError(f"model must be a BSDF in one word, got {model!r}")
+    record = _as_told(
+        record,
+        uncertainty=uncertainty,
+        scale_uncertainty=scale_uncertainty,
+        aperture_half_angle=aperture_half_angle,
+    )
+    observations = _observations(record)
+    channels = record.channels if isinstance(record, Record) else ("Y",)
+    fitted = FittedModel(bsdf, free, channels)
+    with bar(progress, desc=f"fit of {bsdf['type']}", unit="prediction") as report:
+        search = Search(observations, fitted, report)
+        values, covariance = _found(search)
+    predicted = search.predicted(values)
+    at_limit = search.at_limit(values)
+    names = tuple(parameter.name for parameter in fitted.parameters)
+    chi2 = float(np.sum(search.residuals(predicted) ** 2))
+    dof, scatter = predicted.size - len(values), None
+    if not all(one.stated for one in observations):
+        covariance, chi2 = covariance * chi2 / dof, float(dof)
+        scatter = float(np.sqrt(search.misfit(predicted) / dof))
+    misplaced = np.abs(predicted - search.values).sum() / search.values.sum() / 2
+    return Fit(
+        record,
+        fitted.bsdf(values),
+        names,
+        values,
+        covariance,
+        chi2=chi2,
+        dof=dof,
+        misplaced=float(misplaced),
+        predicted=predicted,
+        at_limit=tuple(name for name, at in zip(names, at_limit) if at),
+        scatter=scatter,
+    )
+
+
+def _found(search: Search) -> tuple[Floats, Floats]:
+    """Values of the parameters, and their covariance."""
+    values = search.begin()
+    _check_number(search.observations, search.model)
+    for _ in range(MAX_ROUNDS):
+        search.adapt(values)
+        before, values = values, search.minimum(values)
+        covariance = search.covariance(values)
+        moved = np.abs(values - before)
+        noise = np.nan_to_num(np.sqrt(np.diag(covariance)))
+        if np.all(
+            moved
+            <= np.maximum(MAX_MOVE_STD_ERRS * noise, MAX_REL_MOVE * np.abs(values))
+        ):
+            break
+    return values, covariance
+
+
+def _as_told(
+    record: Record | MeasuredTable, **told: float | None
+) -> Record | MeasuredTable:
+    """Record without its copied directions, or table with what was told of it."""
+    given: dict[str, Any] = {
+        name: value for name, value in told.items() if value is not None
+    }
+    if isinstance(record, Record):
+        for name in given:
+            raise SettingError(f"{name} applies to tables only, got a record")
+        return without_copies(record)
+    if record.aperture_half_angle is not None:
+        given.pop("aperture_half_angle", None)
+    return replace(record, **given)
+
+
+def _observations(record: Record | MeasuredTable) -> list[Observations]:
+    """What a fit has to explain, once it is known that it can."""
+    if isinstance(record, MeasuredTable):
+        _check_table(record)
+        return [TableObservations(record)]
+    _check(record)
+    return list(map(RecordObservations, record))
+
+
+def _check_number(observations: Sequence[Observations], model: FittedModel) -> None:
+    """Raise ValueError unless there are more values than parameters."""
+    n_values = sum(one.values.size for one in observations)
+    names = [parameter.name for parameter in model.parameters]
+    if n_values <= len(names):
+        raise SettingError(
+            f"a fit of {', '.join(names)} needs more than {len(names)} values, got "
+            f"{n_values}"
+        )
+
+
+def _check_table(table: MeasuredTable) -> None:
+    """Raise ValueError for a table that no BSDF can be fitted to."""
+    if table.emitter_half_angle:
+        raise SettingError(
+            f"a fit needs a collimated beam, but {table.name} has an "
+            f"emitter_half_angle of {table.emitter_half_angle:g} degrees"
+        )
+    if mi.is_rgb or (mi.is_spectral and wavelengths_nm([table.channel or ""]) is None):
+        raise SettingError(
+            "a fit to a table needs the variant llvm_ad_mono, or llvm_ad_spectral if "
+            f"its channel is a wavelength such as 550nm, got {mi.variant()}"
+        )
+    if not table.bsdf.any():
+        raise SettingError(f"a fit needs light, but all values of {table.name} are 0")
+    if table.bsdf.sum() <= 0:
+        raise SettingError(
+            f"a fit needs light, but the values of {table.name} are negative on average"
+        )
+
+
+def _check(record: Record) -> None:
+    """Raise ValueError for a record that no BSDF can be fitted to."""
+    spectral = wavelengths_nm(record.channels) is not None
+    colours = len(record.channels) > 1 and not spectral
+    if spectral != mi.is_spectral or (colours and not mi.is_rgb):
+        raise SettingError(
+            f"the variant must be the record's, {record.provenance.variant}, got "
+            f"{mi.variant()}"
+        )
+    needs = {
+        "a collimated beam": np.isfinite(record.theta_i).all()
+        and not record.asked.divergence
+        and record.asked.incident is None,
+        "light in its patches": record.flux_fraction.any(),
+    }
+    for need, holds in needs.items():
+        if not holds:
+            raise SettingError(f"a fit needs a record of {need}")
+    if np.isnan(record.brdf_std_err[record.brdf > 0]).any():
+        raise SettingError("a fit needs a record with error bars, of several batches")
+
+
+# Chi-square per degree of freedom beyond which noise does not explain what is left; and
+# the relative distance of points from the model that may be noise of an instrument.
+MAX_REDUCED_CHI2, MAX_SCATTER = 1.5, 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A BSDF that was fitted to a record or a table.
+
+    Attributes
+    ----------
+    record : Record or MeasuredTable
+        What it was fitted to.
+    bsdf : dict
+        Mitsuba dictionary of the model with what was found.
+    names : tuple of str
+        Of the parameters that were free; those of a colour end in its channel.
+    values, std_errs : ndarray, shape (n_parameters,)
+        `std_errs` are what the noise of the record makes uncertain, and no more: what
+        the model cannot do is in `chi2` and `misplaced`. NaN where a value is at its
+        limit, or any would do.
+    covariance : ndarray, shape (n_parameters, n_parameters)
+    chi2 : float
+        Sum of the squared residuals over the variances of the patches.
+    dof : int
+        Its degrees of freedom: patches less parameters.
+    misplaced : float
+        Part of the light that the model sends into other patches than the record; of a
+        table or of apertures, half the mean difference over the mean of all values.
+    predicted : ndarray, shape (n,)
+        What the model says of the values: flux fractions of the detectors of a record,
+        BSDF of the rows of a table.
+    at_limit : tuple of str
+        Parameters that would go beyond what they may be.
+    scatter : float, optional
+        Of a table that states no uncertainty: how far its points are from the model,
+        relative, root mean square. `chi2` is then that of points as uncertain as that.
+    """
+
+    record: Record | MeasuredTable
+    bsdf: dict[str, Any]
+    names: tuple[str, ...]
+    values: Floats
+    covariance: Floats
+    chi2: float
+    dof: int
+    misplaced: float
+    predicted: Floats
+    at_limit: tuple[str, ...] = ()
+    scatter: float | None = None
+
+    @property
+    def _residual(self) -> str:
+        """What is left between the values and the model."""
+        if self.scatter is not None:
+            return (
+                "the table states no uncertainty: +- is one standard error from how "
+                f"its points scatter about the model, by {100 * self.scatter:.3g} % "
+                "(rms)"
+            )
+        left = f"{100 * self.misplaced:.3g} % misplaced flux"
+        if isinstance(self.record, MeasuredTable):
+            left = f"points differ by {200 * self.misplaced:.3g} % of their mean"
+        return (
+            f"+- is one standard error; chi-square per degree of freedom "
+            f"{self.reduced_chi2:.3g} ({self.dof} degrees of freedom), "
+            f"{left}"
+        )
+
+    @property
+    def std_errs(self) -> Floats:
+        """Standard errors of `values`."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def reduced_chi2(self) -> float:
+        """Chi-square per degree of freedom: 1 where noise explains all."""
+        return self.chi2 / self.dof
+
+    @property
+    def label(self) -> str:
+        """Name of the model, with its distribution of micro-normals if it has one."""
+        distribution = self.bsdf.get("distribution")
+        name = str(self.bsdf["type"])
+        return name if distribution is None else f"{name} {distribution}"
+
+    @cached_property
+    def prediction(self) -> Record | MeasuredTable:
+        """Record of the model as the record was measured, or the model's table."""
+        if isinstance(self.record, MeasuredTable):
+            return replace(
+                self.record,
+                value=self.predicted,
+                quantity="btdf" if self.record.quantity == "btdf" else "brdf",
+                sigma=None,
+                uncertainty=0.0,
+                scale_uncertainty=0.0,
+            )
+        nm = wavelengths_nm(self.record.channels)
+        stack = measure_each(
+            self.bsdf,
+            list(zip(self.record.theta_i.tolist(), self.record.phi_i.tolist())),
+            collector=self.record.subdivision,
+            estimator="quadrature",
+            side=self.record.asked.side,
+            hemispheres="both" if self.record.has_lower else "upper",
+            wavelengths=None if nm is None else nm.tolist(),
+        )
+        return stack if self.record.stacked else stack[0]
+
+    def plot(self, path: str | PathLike[str] | None = None) -> Any:
+        """Figure of record and prediction in the plane of incidence."""
+        from .figure import fit_figure
+
+        return fit_figure(self, path)
+
+    def to_dict(self) -> dict[str, Any]:
+        """What was found, in JSON's types."""
+        parameters = zip(self.names, self.values.tolist(), self.std_errs.tolist())
+        return {
+            "bsdf": self.bsdf,
+            "parameters": {
+                name: {"value": value, "std_err": _known(std_err)}
+                for name, value, std_err in parameters
+            },
+            "covariance": [list(map(_known, row)) for row in self.covariance.tolist()],
+            "chi2": self.chi2,
+            "dof": self.dof,
+            "misplaced": self.misplaced,
+            "at_limit": list(self.at_limit),
+            "scatter": self.scatter,
+        }
+
+    def _repr_html_(self) -> str:
+        """Picture and numbers, for notebooks; numbers alone without Matplotlib."""
+        return picture_and_text(self.plot, self)
+
+    def __repr__(self) -> str:
+        pairs = zip(self.names, self.values, self.std_errs)
+        found = ", ".join(f"{name} {x:.6g} +- {error:.2g}" for name, x, error in pairs)
+        return f"<Fit of {self.label}: {found}>"
+
+    def __str__(self) -> str:
+        width = max(map(len, self.names))
+        # seven digits are what Mitsuba's single precision keeps
+        short = {
+            key: float(f"{value:.7g}") if isinstance(value, float) else value
+            for key, value in self.bsdf.items()
+        }
+        lines = [specimen_name(short)]
+        errors = self.std_errs
+        correlation = self.covariance / np.outer(errors, errors)
+        for i, name in enumerate(self.names):
+            line = f"  {name:<{width}}  {self.values[i]:.6g}"
+            if np.isfinite(errors[i]):
+                line += f" +- {errors[i]:.2g}"
+            elif name not in self.at_limit:
+                line += "  (any value would do)"
+            others = [
+                f"{correlation[i, j]:+.2f} with {self.names[j]}"
+                for j in range(len(self.names))
+                if j != i and abs(correlation[i, j]) > 0.9
+            ]
+            line += f"  (correlation {', '.join(others)})" if others else ""
+            line += "  (at its limit)" if name in self.at_limit else ""
+            lines.append(line)
+        lines.append(f"  {self._residual}")
+        if self.scatter is None and self.reduced_chi2 > MAX_REDUCED_CHI2:
+            lines.append(
+                "  the model does not follow the record within its noise, which is all "
+                "that +- stands for"
+            )
+        if self.scatter is not None and self.scatter > MAX_SCATTER:
+            lines.append("  the model does not follow the table: +- says little")
+        return "\n".join(lines)
+
+
+def _known(value: float) -> float | None:
+    return value if np.isfinite(value) else None

@@ -1,0 +1,384 @@
+"""BSDFs with free parameters, the least squares of a fit, and their covariance."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from ...array_types import Flags, Floats
+from ...errors import SettingError, SpecimenError, did_you_mean, shown
+from ...instrument.loading import loaded
+from .observations import Observations
+
+# Differences for derivatives, relative to a value or to a hundredth of its range: wide
+# against single precision, narrow against the curvature.
+REL_STEP = 3e-4
+
+# Steps from each start, and the relative change of the sum of squares or of values by a
+# step, after which the best of them is known.
+FIRST_STEPS, FIRST_CHANGE = 12, 1e-3
+
+# Standard errors by which a parameter changes the record all over its range, at least;
+# and the condition beyond which parameters do the same to it, as far as derivatives by
+# differences in single precision can tell.
+MIN_EFFECT, MAX_CONDITION = 1.0, 1e3
+
+
+class Search:
+    """The sum of squares to be minimised, and how uncertain its minimum is.
+
+    Parameters
+    ----------
+    observations : sequence of Observations
+    model : FittedModel
+    report : callable, optional
+        Called with 1 for each prediction.
+    """
+
+    def __init__(
+        self,
+        observations: Sequence[Observations],
+        model: FittedModel,
+        report: Callable[[float], Any] | None,
+    ) -> None:
+        self.observations, self.model = observations, model
+        self._loaded, self._report = LoadedModel(model), report
+        # the last prediction and its parameters, with the nodes as they are
+        self._last: tuple[Floats, Floats] | None = None
+        self.values = np.concatenate([one.values for one in observations])
+        self.scales = np.ones_like(self.values)
+        self._ends = np.cumsum([one.values.size for one in observations])[:-1]
+
+    def begin(self) -> Floats:
+        """Values of a first search on a few nodes: the best minimum of all starts."""
+        self._last = None
+        for one in self.observations:
+            one.begin()
+        tried = []
+        for start in self.model.starts():
+            self._weigh(self.predicted(start))
+            found = self.minimum(start, FIRST_CHANGE, FIRST_CHANGE, FIRST_STEPS)
+            tried.append((self.misfit(self.predicted(found)), found))
+        return min(tried, key=lambda one: one[0])[1]
+
+    def misfit(self, predicted: Floats) -> float:
+        """Sum of squares by which minima and models are compared."""
+        parts = zip(self.observations, np.split(predicted, self._ends))
+        return sum(one.misfit(part) for one, part in parts)
+
+    def adapt(self, values: Floats) -> None:
+        """Refine the nodes for these values, and share variances."""
+        self._last = None
+        bsdf = self._loaded.bsdf(values)
+        self._weigh(np.concatenate([one.adapt(bsdf) for one in self.observations]))
+
+    def _weigh(self, predicted: Floats) -> None:
+        """Share variances among patches that are predicted to be alike."""
+        parts = zip(self.observations, np.split(predicted, self._ends))
+        self.scales = np.sqrt(np.concatenate([one.variances(p) for one, p in parts]))
+
+    def residuals(self, predicted: Floats) -> Floats:
+        """Differences of prediction and observation over their standard errors."""
+        return (predicted - self.values) / self.scales
+
+    def minimum(
+        self,
+        values: Floats,
+        ftol: float = 1e-9,
+        xtol: float = 1e-7,
+        most_steps: int | None = None,
+    ) -> Floats:
+        """Values of least squares, with nodes and variances as they are."""
+        from scipy.optimize import least_squares
+
+        low, high = self.model.limits
+        inside = np.clip(values, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
+        found = least_squares(
+            lambda x: self.residuals(self.predicted(x)),
+            inside,
+            lambda x: self._jacobian(x) / self.scales[:, None],
+            (low, high),
+            x_scale="jac",
+            xtol=xtol,
+            ftol=ftol,
+            max_nfev=most_steps,
+        )
+        return found.x
+
+    def covariance(self, values: Floats) -> Floats:
+        """Covariance of the minimum, from the scatter of the batches about it.
+
+        NaN for parameters at a limit, and for those of which any value would do.
+        """
+        low, high = self.model.limits
+        jacobian = self._jacobian(values) / self.scales[:, None]
+        size = np.linalg.norm(jacobian, axis=0)
+        free = ~self.at_limit(values) & (size * (high - low) > MIN_EFFECT)
+        jacobian = jacobian[:, free]
+        if free.any() and np.linalg.cond(jacobian / size[free]) > MAX_CONDITION:
+            names = ", ".join(parameter.name for parameter in self.model.parameters)
+            raise SpecimenError(
+                f"the record does not determine {names} together: give some of them, "
+                "as in roughconductor:alpha=0.2"
+            )
+        estimate = np.linalg.pinv(jacobian) / self.scales
+        total = np.full((len(values), len(values)), np.nan)
+        total[np.ix_(free, free)] = 0.0
+        parts = (
+            np.split(array, self._ends, axis=-1) for array in (estimate, self.scales**2)
+        )
+        for one, part, variances in zip(self.observations, *parts):
+            total[np.ix_(free, free)] += one.propagated(part, variances)
+        return total
+
+    def at_limit(self, values: Floats) -> Flags:
+        """Which of the parameters would go beyond their limits."""
+        low, high = self.model.limits
+        near = 1e-4 * (high - low)
+        return (values < low + near) | (values > high - near)
+
+    def predicted(self, values: Floats) -> Floats:
+        """Prediction with the nodes as they are."""
+        if self._last is None or not np.array_equal(self._last[0], values):
+            bsdf = self._loaded.bsdf(values)
+            found = np.concatenate([one.of(bsdf) for one in self.observations])
+            self._last = values.copy(), found
+            if self._report is not None:
+                self._report(1)
+        return self._last[1]
+
+    def _jacobian(self, values: Floats) -> Floats:
+        """Derivatives of the prediction, by differences within the limits."""
+        here, columns = self.predicted(values), []
+        for i, (value, low, high) in enumerate(zip(values, *self.model.limits)):
+            step = REL_STEP * max(abs(value), (high - low) / 100)
+            moved = values.copy()
+            moved[i] = value + step if value + step <= high else value - step
+            there = self.predicted(moved)
+            columns.append((there - here) / (moved[i] - value))
+        return np.stack(columns, axis=-1)
+
+
+# What is free unless it is said. Nothing is said for the user: the same words are the
+# same BSDF in a fit as in a measurement.
+FREE: dict[str, tuple[str, ...]] = {
+    "diffuse": ("reflectance",),
+    "roughconductor": ("alpha", "specular_reflectance"),
+    "roughdielectric": ("alpha", "int_ior"),
+    "roughplastic": ("alpha", "int_ior", "diffuse_reflectance"),
+    "principled": ("base_color", "roughness", "metallic", "specular"),
+}
+
+# Where the search for a parameter begins, and its limits. Roughness decides where the
+# light is: it is begun with from several places.
+ROUGHNESS = ((0.05, 0.15, 0.4), 1e-3, 1.0)
+FRACTION = ((0.5,), 0.0, 1.0)
+INDEX = ((1.5,), 1.01, 4.0)
+KNOWN: dict[str, tuple[tuple[float, ...], float, float]] = {
+    **dict.fromkeys(("alpha", "alpha_u", "alpha_v"), ROUGHNESS),
+    "roughness": ((0.2, 0.4, 0.7), 0.05, 1.0),
+    **dict.fromkeys(("int_ior", "ext_ior"), INDEX),
+    "eta": ((1.5,), 0.01, 10.0),
+    "k": ((3.0,), 0.0, 20.0),
+    # a fit may have to pass 1, which no surface does, to be unbiased; Mitsuba's colours
+    # cannot
+    **dict.fromkeys(("specular_reflectance", "reflectance"), ((0.8,), 0.0, 1.5)),
+    **dict.fromkeys(("diffuse_reflectance", "specular_transmittance"), FRACTION),
+    **dict.fromkeys(("base_color", "metallic", "specular", "anisotropic"), FRACTION),
+    **dict.fromkeys(("spec_tint", "sheen", "sheen_tint", "clearcoat"), FRACTION),
+    **dict.fromkeys(("clearcoat_gloss", "flatness", "spec_trans"), FRACTION),
+}
+RGB = ("R", "G", "B")
+COLOURS = ("reflectance", "base_color", "transmittance")
+
+# Loaded BSDFs that are kept: where the search is, and beside it along some parameters.
+MAX_LOADED = 4
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number to be found.
+
+    Attributes
+    ----------
+    name : str
+        As the BSDF has it; of a colour, with a channel behind a dot.
+    starts : tuple of float
+        Values from which the search begins.
+    low, high : float
+        Its limits.
+    """
+
+    name: str
+    starts: tuple[float, ...]
+    low: float
+    high: float
+
+    @classmethod
+    def parse(cls, text: str) -> Parameter:
+        """Parameter of a known name, or of ``name=low:high``."""
+        name, equals, limits = text.partition("=")
+        if not equals:
+            if name not in KNOWN:
+                raise SettingError(
+                    f"free must name parameters such as {', '.join(list(KNOWN)[:6])}, "
+                    f"or any with its limits as in weight=0:1, got {shown(text)}"
+                )
+            return cls(name, *KNOWN[name])
+        try:
+            low, high = map(float, limits.split(":"))
+        except ValueError:
+            low = high = np.nan
+        if not (np.isfinite(low) and np.isfinite(high) and low < high):
+            raise SettingError(
+                f"free must give limits as in {name}=0:1, got {shown(text)}"
+            )
+        return cls(name, ((low + high) / 2,), low, high)
+
+
+class FittedModel:
+    """A BSDF in which some parameters are free.
+
+    Parameters
+    ----------
+    bsdf : dict
+        Mitsuba dictionary of what is fixed.
+    free : sequence of str, optional
+        Names of parameters, or ``name=low:high``. Default: see :data:`FREE`.
+    channels : sequence of str
+        Those of the record; a colour has a parameter in each of R, G and B, and one
+        for all wavelengths.
+    """
+
+    def __init__(
+        self,
+        bsdf: Mapping[str, Any],
+        free: Sequence[str] | None,
+        channels: Sequence[str],
+    ) -> None:
+        if free is None:
+            kind = bsdf["type"]
+            if kind not in FREE:
+                raise SettingError(
+                    f"free must name what is to be found of {kind}: it is known of "
+                    f"{', '.join(FREE)} only{did_you_mean(kind, FREE)}"
+                )
+            free = [name for name in FREE[kind] if name not in bsdf]
+        found = [Parameter.parse(text) for text in free]
+        twice = [one.name for one in found if one.name in bsdf]
+        if twice or not found:
+            raise SettingError(
+                f"free must name what is to be found of {bsdf['type']} and not what "
+                f"is given, got {', '.join(twice) or 'nothing'}"
+            )
+        if any(one.name.startswith("alpha_") for one in found):
+            found = [one for one in found if one.name != "alpha"]
+        self.fixed = dict(bsdf)
+        self.channels = tuple(channels)
+        self.parameters = tuple(
+            part
+            for one in found
+            for part in (self._colour(one) if self._is_colour(one.name) else [one])
+        )
+
+    def _is_colour(self, name: str) -> bool:
+        return self.channels == RGB and name.endswith(COLOURS)
+
+    def _colour(self, one: Parameter) -> list[Parameter]:
+        """A parameter in each channel, within what Mitsuba loads as a reflectance."""
+        low, high = max(one.low, 0.0), min(one.high, 1.0)
+        if low >= high:
+            raise SettingError(
+                f"free must give limits of the colour {one.name} from 0 to 1, got "
+                f"{one.low:g}:{one.high:g}"
+            )
+        starts = tuple(start for start in one.starts if low <= start <= high)
+        names = [f"{one.name}.{channel}" for channel in self.channels]
+        return [
+            Parameter(name, starts or ((low + high) / 2,), low, high) for name in names
+        ]
+
+    def bsdf(self, values: Floats) -> dict[str, Any]:
+        """Mitsuba dictionary with these values of the parameters."""
+        numbers = {p.name: float(v) for p, v in zip(self.parameters, values)}
+        single = {name: v for name, v in numbers.items() if "." not in name}
+        several = dict.fromkeys(name.split(".")[0] for name in numbers if "." in name)
+        colours = {
+            name: {
+                "type": "rgb",
+                "value": [numbers[f"{name}.{channel}"] for channel in self.channels],
+            }
+            for name in several
+        }
+        return self.fixed | single | colours
+
+    @property
+    def limits(self) -> tuple[Floats, Floats]:
+        """The lower and the upper limits of the parameters."""
+        low, high = np.array([(p.low, p.high) for p in self.parameters]).T
+        return low, high
+
+    def starts(self) -> list[Floats]:
+        """Values from which to begin: all of a roughness, the first of others."""
+        first = np.array([p.starts[0] for p in self.parameters])
+        most = max(len(p.starts) for p in self.parameters)
+        found = []
+        for i in range(most):
+            start = first.copy()
+            for j, p in enumerate(self.parameters):
+                if re.match("alpha|roughness", p.name):
+                    start[j] = p.starts[i]
+            found.append(start)
+        return found
+
+
+class LoadedModel:
+    """BSDFs of a model; those that differ in their colours alone are loaded once.
+
+    To load a `roughplastic` takes 45 ms, in which it integrates its transmittance; to
+    give it another colour takes microseconds, and the same values.
+
+    Parameters
+    ----------
+    model : FittedModel
+    """
+
+    def __init__(self, model: FittedModel) -> None:
+        self.model = model
+        self._held: dict[tuple[float, ...], tuple[mi.BSDF, Any]] = {}
+
+    def bsdf(self, values: Floats) -> mi.BSDF:
+        """The BSDF with these values, until the next one is asked for."""
+        wanted = self.model.bsdf(values)
+        names = [one.name.split(".")[0] for one in self.model.parameters]
+        # of Mitsuba's own only: whether another's parameters are what it was loaded
+        # with is what `validate` asks
+        own = self.model.fixed["type"] in FREE
+        colours = {name for name in names if own and name.endswith(COLOURS)}
+        rest = tuple(float(v) for n, v in zip(names, values) if n not in colours)
+        if rest in self._held:
+            bsdf, parameters = self._held[rest]
+            for name in colours:
+                number = wanted[name]
+                number = number["value"] if isinstance(number, dict) else number
+                key = f"{name}.value"
+                parameters[key] = type(parameters[key])(number)
+            parameters.update()
+            return bsdf
+        bsdf = loaded("the model", mi.load_dict, wanted)
+        if colours:
+            parameters = mi.traverse(bsdf)
+            if all(f"{name}.value" in parameters for name in colours):
+                self._hold(rest, bsdf, parameters)
+        return bsdf
+
+    def _hold(self, rest: tuple[float, ...], bsdf: mi.BSDF, parameters: Any) -> None:
+        """Keep what was loaded, in place of the oldest."""
+        while len(self._held) >= MAX_LOADED:
+            del self._held[next(iter(self._held))]
+        self._held[rest] = bsdf, parameters

@@ -1,0 +1,298 @@
+"""Observations of a fit: values of records and tables, and their uncertainties."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeAlias
+
+import mitsuba as mi
+import numpy as np
+
+from ...array_types import Floats, Integers
+from ...collector.directions import direction
+from ...errors import SettingError
+from ...files.measured_table import MeasuredTable
+from ...results.record import Record
+from .predictions import ConePredictions, PatchPredictions
+
+# Relative error of the integrals of a model, in no error bar of a record of integrals;
+# and the part of the mean below which values are uncertain alike.
+MODEL_INTEGRAL_ERR, MIN_RELATIVE_VALUE = 1e-4, 0.01
+
+
+class _Observations:
+    """Values, what a BSDF predicts for them, and how uncertain they are.
+
+    Several predictions make them, each of which is asked.
+
+    Attributes
+    ----------
+    values : ndarray, shape (n,)
+    stated : bool
+        Whether uncertainties of the values are known, and not only how they compare.
+    """
+
+    values: Floats
+    stated: bool
+    _each: Sequence[PatchPredictions | ConePredictions | _PatchMeans]
+
+    def begin(self) -> None:
+        """Take few nodes, which will do for a first search."""
+        for one in self._each:
+            one.begin()
+
+    def adapt(self, bsdf: mi.BSDF) -> Floats:
+        """Prediction, with the nodes that this BSDF needs from now on."""
+        return self._joined([one.adapt(bsdf) for one in self._each])
+
+    def of(self, bsdf: mi.BSDF) -> Floats:
+        """Prediction with the nodes as they are."""
+        return self._joined([one.of(bsdf) for one in self._each])
+
+    def _joined(self, parts: list[Floats]) -> Floats:
+        return np.concatenate(parts)
+
+
+class RecordObservations(_Observations):
+    """Flux fractions of one incident direction of a record, in all its detectors.
+
+    As they are, where sums over mirror facets are negative by chance: only unbiased
+    values have weighted means, and so least squares, without bias.
+
+    Parameters
+    ----------
+    single : Record
+    """
+
+    stated = True
+
+    def __init__(self, single: Record) -> None:
+        self.single = single
+        self._each = _predictions(single)
+        self.values = self._kept(single.flux_fraction)
+        (self._tally,) = single.tallies
+        integrated = single.asked.estimator.integrates
+        self._has_batches = not integrated and self._tally.n_batches > 1
+
+    def variances(self, predicted: Floats) -> Floats:
+        """Variances for weights: the record's, shared among like detectors."""
+        found = self._std_errs() ** 2
+        if not self._has_batches:
+            least = MODEL_INTEGRAL_ERR * (self.values + self.values.mean())
+            return found + least**2
+        channels = len(self.single.channels)
+        hits = self._kept(np.repeat(self._tally.hits[..., None], channels, axis=-1))
+        # a tenth of a ray, where all batches received the same
+        least = 0.1 / max(self.single.ledger.emitted, 1)
+        return np.maximum(pooled(found, hits.astype(np.int64), predicted), least**2)
+
+    def misfit(self, predicted: Floats) -> float:
+        """Chi-square."""
+        return float(np.sum((predicted - self.values) ** 2 / self.variances(predicted)))
+
+    def propagated(
+        self,
+        estimate: Floats,
+        variances: Floats,  # noqa: ARG002 (shared ones)
+    ) -> Floats:
+        """Covariance of a linear estimate: by batches, detectors together."""
+        if not self._has_batches:
+            return (estimate * self._std_errs() ** 2) @ estimate.T
+        incident = self._tally.incident.astype(float)[:, None, None, None]
+        batches = np.stack([self._kept(one) for one in self._tally.sums / incident])
+        each = batches @ estimate.T
+        return np.atleast_2d(np.cov(each, rowvar=False)) / len(batches)
+
+    def _kept(self, values: Floats) -> Floats:
+        """Values of the detectors, without what is between them, in one row."""
+        detectors = self.single.subdivision.n_detectors
+        hemispheres, channels = self.single.n_hemispheres, len(self.single.channels)
+        return values.reshape(hemispheres, -1, channels)[:, :detectors].ravel()
+
+    def _std_errs(self) -> Floats:
+        """Standard errors of the flux fractions; 0 where nothing is known of one."""
+        solid = self.single.subdivision.projected_solid_angles[..., None]
+        both = [self.single.brdf_std_err, self.single.btdf_std_err]
+        errors = np.stack([one * solid for one in both if one is not None])
+        return self._kept(np.nan_to_num(errors))
+
+
+class TableObservations(_Observations):
+    """BSDF values of a measured table, in all its directions.
+
+    Parameters
+    ----------
+    table : MeasuredTable
+        Where it states an aperture, or else patches, its values are means over these.
+        Without any uncertainty all values are taken for uncertain by the same part of
+        themselves.
+    """
+
+    def __init__(self, table: MeasuredTable) -> None:
+        self.table, self.values = table, table.bsdf
+        self.stated = bool(table.bsdf_std_err.any())
+        self._rows = [
+            np.flatnonzero((table.theta_i == theta_i) & (table.phi_i == phi_i))
+            for theta_i, phi_i in table.incident
+        ]
+        self._each = [
+            _means(table, one, rows) for one, rows in zip(table.incident, self._rows)
+        ]
+
+    def _joined(self, parts: list[Floats]) -> Floats:
+        """Values of the incident directions in the rows of the table."""
+        found = np.empty(len(self.table))
+        found[np.concatenate(self._rows)] = np.concatenate(parts)
+        return found
+
+    def variances(self, predicted: Floats) -> Floats:
+        """Variances for weights: the table's, or squares of what the model predicts.
+
+        Raises
+        ------
+        ValueError
+            If the table states none, and the model predicts no light at all.
+        """
+        if not self.stated and not predicted.any():
+            raise SettingError(
+                f"the model must send light to where {self.table.name} was measured "
+                f"({self.table.quantity}), got none"
+            )
+        if not self.stated:
+            return (
+                np.abs(predicted) + MIN_RELATIVE_VALUE * np.abs(predicted).mean()
+            ) ** 2
+        # a part of what is predicted: a part of a value that noise made small would
+        # give it too much weight
+        relative = self.table.uncertainty
+        found = self.table.bsdf_std_err**2 - (relative * self.values) ** 2
+        if self.table.degrees_of_freedom is not None:
+            # of Student's t, from 3 on
+            dof = max(self.table.degrees_of_freedom, 3.0)
+            found = found * dof / (dof - 2)
+        found = np.maximum(found, 0) + (relative * predicted) ** 2
+        return found + (MODEL_INTEGRAL_ERR * (np.abs(self.values).mean())) ** 2
+
+    def misfit(self, predicted: Floats) -> float:
+        """Chi-square; without variances, of distances relative to both values.
+
+        Relative to those of a model alone one that is far too bright would be near.
+        """
+        variances = self.variances(predicted)
+        if not self.stated:
+            variances = (variances + self.variances(self.values)) / 2
+        return float(np.sum((predicted - self.values) ** 2 / variances))
+
+    def propagated(self, estimate: Floats, variances: Floats) -> Floats:
+        """Covariance of a linear estimate: of the points, and of a common factor."""
+        points = (estimate * variances) @ estimate.T
+        common = self.table.scale_uncertainty * (estimate @ self.values)
+        return points + np.outer(common, common)
+
+
+Observations: TypeAlias = RecordObservations | TableObservations
+
+
+class _PatchMeans:
+    """Means over patches that hold some rows of a table, in 1/sr."""
+
+    def __init__(self, predictions: PatchPredictions, places: Integers) -> None:
+        self._predictions, self._places = predictions, places
+        solid = predictions.subdivision.projected_solid_angles.ravel()
+        self._solid = np.tile(solid, predictions.hemispheres)[places]
+
+    def begin(self) -> None:
+        """See :class:`_Observations`."""
+        self._predictions.begin()
+
+    def adapt(self, bsdf: mi.BSDF) -> Floats:
+        """See :class:`_Observations`."""
+        return self._predictions.adapt(bsdf)[self._places] / self._solid
+
+    def of(self, bsdf: mi.BSDF) -> Floats:
+        """See :class:`_Observations`."""
+        return self._predictions.of(bsdf)[self._places] / self._solid
+
+
+def _means(
+    table: MeasuredTable, incident: tuple[float, float], rows: Integers
+) -> _PatchMeans | ConePredictions:
+    """What predicts some rows of a table, of one incident direction."""
+    lower = table.quantity == "btdf"
+    theta = table.theta_o[rows]
+    theta, phi = 180 - theta if lower else theta, table.phi_o[rows]
+    light = incident, "front", [table.channel or "Y"]
+    patches = table.patches
+    if patches is not None:
+        number = patches.patch(direction(np.radians(theta), np.radians(phi)))
+        predictions = PatchPredictions(*light, patches, 1 + lower)
+        return _PatchMeans(predictions, number + lower * patches.n_patches)
+    return ConePredictions(
+        *light,
+        np.stack([theta, phi], axis=-1),
+        lower=lower,
+        half_angle=table.aperture_half_angle or 0.0,
+        means=True,
+    )
+
+
+def _predictions(single: Record) -> list[PatchPredictions] | list[ConePredictions]:
+    """What predicts the detectors of a record, hemisphere by hemisphere if cones."""
+    patches = single.subdivision
+    half_angle = patches.aperture_half_angle
+    incident = float(single.theta_i[0]), float(single.phi_i[0])
+    side = single.asked.side
+    hemispheres = single.n_hemispheres
+    if half_angle is None:
+        given = incident, side, single.channels
+        return [PatchPredictions(*given, patches, hemispheres)]
+    axes = np.degrees(np.concatenate(patches.middles, axis=1))[: patches.n_detectors]
+    return [
+        ConePredictions(
+            incident,
+            side,
+            single.channels,
+            axes,
+            lower=lower,
+            half_angle=half_angle,
+            means=False,
+        )
+        for lower in (False, True)[:hemispheres]
+    ]
+
+
+# Patches that share a variance, and the hits that they must have together.
+MIN_POOLED_PATCHES, MIN_POOLED_HITS = 16, 100
+
+
+def pooled(variances: Floats, hits: Integers, brightness: Floats) -> Floats:
+    """Mean variance of the patches that are about as bright.
+
+    A variance from 16 batches is itself off by a third, and a patch that has by chance
+    received too little has too small a one as well: weights from single variances
+    would bias a fit, and make it look better than it is. Here they are shared by
+    patches of similar `brightness`, which is a model's and not the record's.
+
+    Parameters
+    ----------
+    variances, hits, brightness : ndarray, shape (n,)
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Positive, if any patch has a variance.
+    """
+    order = np.argsort(brightness, kind="stable")
+    starts, patches, total = [0], 0, 0
+    for i, n in enumerate(hits[order].tolist()):
+        if patches >= MIN_POOLED_PATCHES and total >= MIN_POOLED_HITS:
+            starts.append(i)
+            patches = total = 0
+        patches, total = patches + 1, total + n
+    if len(starts) > 1 and (patches < MIN_POOLED_PATCHES or total < MIN_POOLED_HITS):
+        starts.pop()
+    sizes = np.diff([*starts, len(order)])
+    means = np.add.reduceat(variances[order], starts) / sizes
+    found = np.empty_like(variances)
+    found[order] = np.repeat(means, sizes)
+    return found

@@ -1,0 +1,287 @@
+"""Fluxes and means that a BSDF predicts for patches, cones and directions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ...array_types import Floats, Integers
+from ...collector import Subdivision
+from ...collector.directions import angles, direction
+from ...errors import SettingError
+from ...quadrature import integrate
+from ...quadrature.cells import NODES_PER_CELL, Cells
+from ...quadrature.evaluator import IncidentLight, square
+from ...quadrature.integrate import Rule
+from ...results.record import wavelengths_nm
+from ...transport.surface_events import flux_context
+from ...transport.wavelengths import passes, wavelength_lanes
+
+# Relative error of each patch to which the nodes of the integrals are refined.
+INTEGRAL_ERR = 1e-4
+
+
+class Predictions:
+    """Predictions for one incident direction of a measurement.
+
+    The nodes of the integrals are those that one BSDF needs, and stay until `adapt` is
+    called with another one: so predictions are smooth functions of the parameters.
+
+    Parameters
+    ----------
+    incident : (float, float)
+        ``theta_i`` and ``phi_i`` in degrees.
+    side : {"front", "back"}
+    channels : sequence of str
+    """
+
+    def __init__(
+        self, incident: tuple[float, float], side: str, channels: Sequence[str]
+    ) -> None:
+        self.incident, self.side, self.channels = incident, side, len(channels)
+        nm = wavelengths_nm(channels)
+        self.passes = passes([] if nm is None else nm.tolist())
+        self._nodes: list[Nodes] = []
+
+    def of(self, bsdf: mi.BSDF) -> Floats:
+        """Values of all places and channels, shape (n * channels,).
+
+        Raises
+        ------
+        ValueError
+            If the BSDF is coloured and the measurement, of an rgb variant, is not.
+        """
+        parts = [
+            nodes.sums(bsdf)[:, : nm and len(nm)]
+            for nodes, nm in zip(self._nodes, self.passes)
+        ]
+        return self._measured_channels(np.concatenate(parts, axis=-1))
+
+    def _measured_channels(self, values: Floats) -> Floats:
+        """Values ``(..., n)`` of the channels that were measured, in one row."""
+        own = values[..., : self.channels]
+        if self.channels == 1 and not np.allclose(
+            values, own, rtol=INTEGRAL_ERR, atol=0
+        ):
+            raise SettingError(
+                "the record has one channel, as of a grey specimen, and the model is "
+                "coloured: fit it to a record of R, G and B, or say a grey model"
+            )
+        return own.ravel()
+
+    def _light(self, nm: Any) -> IncidentLight:
+        """Light of the incident direction, of these wavelengths."""
+        return IncidentLight.of([self.incident], self.side, self._interaction(nm))
+
+    @staticmethod
+    def _interaction(nm: Any) -> mi.SurfaceInteraction3f | None:
+        """Point of a square in the middle of which light of these wavelengths lands."""
+        if nm is None:
+            return None
+        si = square()
+        si.wavelengths = wavelength_lanes(tuple(nm))
+        return si
+
+
+class PatchPredictions(Predictions):
+    """Flux fractions of the patches of one incident direction.
+
+    Parameters
+    ----------
+    incident, side, channels
+        As of :class:`Predictions`.
+    patches : Subdivision
+    hemispheres : {1, 2}
+        Reflection alone, or transmission too.
+    """
+
+    def __init__(
+        self,
+        incident: tuple[float, float],
+        side: str,
+        channels: Sequence[str],
+        patches: Subdivision,
+        hemispheres: int,
+    ) -> None:
+        super().__init__(incident, side, channels)
+        self.subdivision, self.hemispheres = patches, hemispheres
+
+    def begin(self) -> None:
+        """Take the same few nodes in each patch, which will do for a first search."""
+        cells = Cells.of(self.subdivision)
+        patch = np.repeat(cells.patch, NODES_PER_CELL)
+        theta, phi, lower, weight = cells.nodes()
+        self._nodes = []
+        for nm in self.passes:
+            light = self._light(nm)
+            rule = Rule(self.subdivision, patch, theta, phi, lower, weight, light)
+            self._nodes.append(Nodes.of(rule, self.n_patches))
+
+    @property
+    def n_patches(self) -> int:
+        """Patches of all hemispheres of the record."""
+        return self.hemispheres * self.subdivision.n_patches
+
+    def adapt(self, bsdf: mi.BSDF) -> Floats:
+        """:meth:`of` a BSDF, with the nodes that it needs from now on."""
+        self._nodes, parts = [], []
+        for nm in self.passes:
+            found = integrate(
+                bsdf,
+                *self.incident,
+                self.subdivision,
+                integral_err=INTEGRAL_ERR,
+                side=self.side,
+                interaction=self._interaction(nm),
+            )
+            self._nodes.append(Nodes.of(found.rule, self.n_patches))
+            parts.append(found.flux[: self.hemispheres, ..., : nm and len(nm)])
+        return self._measured_channels(np.concatenate(parts, axis=-1))
+
+
+class Nodes:
+    """Nodes of sums over places.
+
+    Parameters
+    ----------
+    light : IncidentLight
+    place : ndarray of int, shape (n,)
+        To which each node belongs.
+    angles : (ndarray, ndarray, ndarray)
+        Polar angle from the pole of its hemisphere, azimuth, and whether that is the
+        lower one; shapes (n,).
+    weight : ndarray, shape (n,)
+        In sr.
+    n_places : int
+    """
+
+    def __init__(
+        self,
+        light: IncidentLight,
+        place: Integers,
+        angles: tuple[Any, Any, Any],
+        weight: Floats,
+        n_places: int,
+    ) -> None:
+        self.n_places, self.place, self.weight = n_places, place, weight
+        self.si, self.wo = light.first, light.towards(*angles)
+        dr.eval(self.wo)
+
+    @classmethod
+    def of(cls, rule: Rule, n_patches: int) -> Nodes:
+        """The nodes of a rule in the first `n_patches` patches."""
+        kept = rule.patch < n_patches
+        angles = rule.theta[kept], rule.phi[kept], rule.lower[kept]
+        weight = (rule.weight * np.sin(rule.theta))[kept]
+        return cls(rule.light, rule.patch[kept], angles, weight, n_patches)
+
+    def sums(self, bsdf: mi.BSDF) -> Floats:
+        """Sums over the places, shape (n_places, channels)."""
+        columns = [
+            np.bincount(
+                self.place,
+                self.weight * np.broadcast_to(value.numpy(), len(self.weight)),
+                minlength=self.n_places,
+            )
+            for value in bsdf.eval(flux_context(), self.si, self.wo, mi.Bool(True))
+        ]
+        return np.stack(columns, axis=-1)
+
+
+# Nodes along the radius of a cone, to begin with and at most; four times as many about
+# its axis.
+MIN_NODES, MAX_NODES = 2, 16
+
+
+class ConePredictions(Predictions):
+    """Values of cones for one incident direction of a table, or of apertures.
+
+    Parameters
+    ----------
+    incident, side, channels
+        As of :class:`Predictions`.
+    axes : ndarray, shape (n, 2)
+        Polar angles from the pole of their hemisphere, and azimuths, in degrees.
+    lower : bool
+        Whether the cones are in the lower hemisphere.
+    half_angle : float
+        Of the cones in degrees; 0 for their axes alone, and means.
+    means : bool
+        Whether values are means of the BSDF in 1/sr, weighted with the cosine, and not
+        flux fractions. What would lie below the horizon is left out.
+    """
+
+    def __init__(
+        self,
+        incident: tuple[float, float],
+        side: str,
+        channels: Sequence[str],
+        axes: Floats,
+        *,
+        lower: bool,
+        half_angle: float,
+        means: bool,
+    ) -> None:
+        super().__init__(incident, side, channels)
+        self.axes, self.lower, self.means = np.radians(axes), lower, means
+        self.half_angle = np.radians(half_angle)
+
+    def begin(self) -> None:
+        """Take a few nodes in each cone."""
+        self._take(MIN_NODES)
+
+    def adapt(self, bsdf: mi.BSDF) -> Floats:
+        """:meth:`of` a BSDF, with the nodes that it needs from now on."""
+        n = MIN_NODES
+        self._take(n)
+        before, found = None, self.of(bsdf)
+        while self.half_angle and n < MAX_NODES and not _alike(before, found):
+            n *= 2
+            self._take(n)
+            before, found = found, self.of(bsdf)
+        return found
+
+    def _take(self, n: int) -> None:
+        """Take `n` nodes along the radius of each cone."""
+        wo, weight = self._about(n)
+        place = np.repeat(np.arange(len(wo)), wo.shape[1])
+        if self.means:
+            solid = np.bincount(place, (weight * wo[..., 2]).ravel())
+            weight = weight / solid[:, None]
+        kept = weight.ravel() > 0
+        theta, phi = angles(wo.reshape(-1, 3)[kept])
+        towards = theta, phi, np.full(len(theta), self.lower)
+        self._nodes = [
+            Nodes(self._light(nm), place[kept], towards, weight.ravel()[kept], len(wo))
+            for nm in self.passes
+        ]
+
+    def _about(self, n: int) -> tuple[Floats, Floats]:
+        """Directions about each axis, shape (n_axes, m, 3), and weights in sr."""
+        theta, phi = self.axes.T
+        axis = direction(theta, phi)
+        if not self.half_angle:
+            return axis[:, None], np.ones((len(axis), 1))
+        down = direction(theta + np.pi / 2, phi)
+        across = np.cross(axis, down)
+        x, w = np.polynomial.legendre.leggauss(n)
+        low = np.cos(self.half_angle)
+        cosine = np.repeat(low + (1 - low) * (x + 1) / 2, 4 * n)
+        weight = np.repeat(w * (1 - low) / 2, 4 * n) * (2 * np.pi / (4 * n))
+        turn = np.tile((np.arange(4 * n) + 0.5) * (2 * np.pi / (4 * n)), n)
+        sine = np.sqrt(1 - cosine**2)
+        local = np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine])
+        wo = np.einsum("kij,km->imj", np.stack([down, across, axis]), local)
+        return wo, np.where(wo[..., 2] > 0, weight, 0.0)
+
+
+def _alike(before: Floats | None, found: Floats) -> bool:
+    """Whether no value has changed by a relevant part."""
+    if before is None:
+        return False
+    change = np.abs(found - before)
+    return bool(np.all(change <= INTEGRAL_ERR * (np.abs(found) + np.abs(found).mean())))

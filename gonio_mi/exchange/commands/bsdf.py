@@ -1,0 +1,190 @@
+"""``gonio-mi bsdf``: write the BSDF file of a window layer, blind or film.
+
+Measure all that a Radiance BSDF file says of a specimen, and write it: reflection and
+transmission of both sides, each incident patch averaged over the patch, in the file's
+own patches; of several wavelengths, visible and solar light. The specimen's face to
++z, the front, looks into the room, and its +y is up.
+"""
+
+import time
+from argparse import ArgumentParser, Namespace
+
+import mitsuba as mi
+
+from ...commands.arguments import (
+    DONE,
+    INCOMPLETE,
+    add_number,
+    add_quiet,
+    add_scene_options,
+    add_setting,
+    add_specimen,
+    add_text,
+    check_not_read,
+    given_settings,
+    specimen_of,
+    tell,
+)
+from ...commands.campaign_options import (
+    add_campaign,
+    campaign_options,
+    is_imprecise,
+    kept_after_ctrl_c,
+)
+from ...commands.surface import add_surface_options, prepared_surface
+from ...errors import SettingError
+from ...files import check_output
+from ...instrument.loading import load_specimen
+from ...instrument.specimen_text import parse_specimen
+from ...results.record import Record
+from ...surfaces.height_maps import is_height_map
+from ...surfaces.meshes import is_mesh
+from ...surfaces.topography import metres
+from ...transport.shapes import bounds
+from ..exports.bsdf_file import RAYS, bsdf, hemispherical
+from ..exports.daylight import VISIBLE_NM, luminous
+from ..formats.radiance import BASES, BLOCKS, Product
+
+WAVELENGTHS = f"{VISIBLE_NM[0]} to {VISIBLE_NM[-1]} by {VISIBLE_NM[1] - VISIBLE_NM[0]}"
+
+SIZES = ("thickness", "width", "height")
+
+USAGE = "%(prog)s SPECIMEN -o FILE.xml [options]"
+
+EXAMPLES = """\
+examples:
+  gonio-mi bsdf blind.xml --period box --rel-err 0.01 -o blind_klems.xml
+  gonio-mi bsdf slat.obj --unit mm --normal y --period 25,25 \\
+      --bsdf diffuse:reflectance=0.7 -o blind.xml
+  gonio-mi bsdf roughdielectric:alpha=0.1 --basis tensor3 -o film.xml
+  gonio-mi bsdf diffuse:reflectance=0.7 --solar diffuse:reflectance=0.6 \\
+      -o both.xml
+  gonio-mi bsdf film.xml --variant llvm_ad_spectral --wavelengths 300 320 340 \\
+      360 380 400 450 500 550 600 650 700 800 1000 1300 1600 2000 2500 \\
+      -o film_klems.xml
+"""
+
+
+def add_options(parser: ArgumentParser) -> None:
+    """Add the options of the command to its parser."""
+    add_specimen(parser)
+    group = parser.add_argument_group("File")
+    text = "A file that ends in .xml."
+    group.add_argument("-o", "--output", required=True, metavar="FILE", help=text)
+    group.add_argument(
+        "--basis",
+        default="klems",
+        choices=BASES,
+        metavar="BASIS",
+        help="Basis: klems, klems-half or klems-quarter, of 145, 77 or 41 patches in "
+        "each hemisphere, or a tensor tree, tensor3 for isotropic or tensor4 for any "
+        "specimens. Default: klems.",
+    )
+    text = "Cells per axis of a tensor tree, a power of two. Default: 32 or 16."
+    add_number(group, "--cells", "N", text)
+    add_text(
+        group,
+        "--solar",
+        "SPECIMEN",
+        "Scene with solar-weighted material data, for the Solar block; not needed "
+        "with wavelengths from 300 to 2500 nm.",
+    )
+    product = parser.add_argument_group("Product")
+    text = "Name of the product. Default: the specimen's."
+    add_text(product, "--name", "NAME", text)
+    text = "Manufacturer of the product. Default: gonio-mi."
+    add_text(product, "--manufacturer", "NAME", text, default="gonio-mi")
+    for name in SIZES:
+        text = f"{name.capitalize()} of the product in metres."
+        add_number(product, f"--{name}", "M", text)
+    method = parser.add_argument_group("Method")
+    add_setting(method, "rays", f"{RAYS}")
+    for name in ("rel_err", "max_rays", "batches", "sampler", "seed", "estimator"):
+        add_setting(method, name)
+    light = parser.add_argument_group("Light and surface interactions")
+    for name in ("footprint", "wavelengths", "max_depth", "rr_depth", "period"):
+        add_setting(light, name, WAVELENGTHS if name == "wavelengths" else None)
+    add_surface_options(parser)
+    add_scene_options(parser)
+    group = parser.add_argument_group("Campaign")
+    add_campaign(group)
+    add_quiet(group)
+
+
+def run(options: Namespace) -> int:
+    """Measure, write, and return the exit code."""
+    check_output(options.output, (".xml",))
+    sizes = {name: _size(options, name) for name in SIZES}
+    specimen, parameters = specimen_of(options.specimen, options)
+    check_not_read(specimen, options.specimen, [options.output])
+    specimen = prepared_surface(specimen, options)
+    solar = None if options.solar is None else parse_specimen(options.solar)
+    if sizes["thickness"] is None and options.unit is not None:
+        low, high = bounds(load_specimen(specimen, parameters).shapes())
+        sizes["thickness"] = float(high[2] - low[2]) * metres(options.unit)
+
+    product = Product(options.name or options.specimen, options.manufacturer, **sizes)
+    started = time.perf_counter()
+    with kept_after_ctrl_c(options.folder):
+        records = bsdf(
+            specimen,
+            options.output,
+            options.basis,
+            solar=solar,
+            product=product,
+            cells=options.cells,
+            parameters=parameters,
+            progress=not options.quiet,
+            **campaign_options(options),
+            **given_settings(options),
+        )
+    seconds = time.perf_counter() - started
+    if not options.quiet:
+        for name, record in records.items():
+            tell(_line(name, luminous(record)))
+        # of wavelengths, visible and solar records are of the same rays
+        sent = records if options.solar is not None else ("front", "back")
+        rays = sum(records[name].ledger.emitted for name in sent)
+        channels = records["front"].channels
+        basis = options.basis
+        if mi.is_spectral and channels != ("Y",):
+            basis += f" as at {channels[0]}"
+        if "solar front" not in records:
+            basis += ", no block Solar"
+        of_file = is_mesh(options.specimen) or is_height_map(options.specimen)
+        if of_file and sizes["thickness"] is None:
+            basis += ", no Thickness (give --thickness, or --unit if the file has none)"
+        tell(
+            f"{options.output}: {basis}, {rays:.3g} rays, {seconds:.0f} s; +- is one "
+            f"standard error\nblocks: {BLOCKS}"
+        )
+    return INCOMPLETE if any(map(is_imprecise, records.values())) else DONE
+
+
+def _size(options: Namespace, name: str) -> float | None:
+    """Size of the product in metres."""
+    value = getattr(options, name)
+    if value is not None and not 0 < value < 1e6:
+        raise SettingError(f"--{name} must be a positive number of metres, got {value}")
+    return None if value is None else float(value)
+
+
+def _line(name: str, record: Record) -> str:
+    """What a side does to light from about the normal and to diffuse light."""
+    normal = record[int(record.theta_i.argmin())]
+    words = f"{name}: from about the normal reflected {_total(normal, 'dhr')}"
+    if record.has_lower:
+        words += f", transmitted {_total(normal, 'dht')}"
+    if record.ledger.direct:
+        words += f" ({_total(normal, 'direct')} directly)"
+    totals = " and ".join(_pair(*total) for total in hemispherical(record))
+    return f"{words}; of diffuse light {totals}"
+
+
+def _total(record: Record, name: str) -> str:
+    value, error = getattr(record, name), getattr(record, f"{name}_std_err")
+    return _pair(float(value[0]), float(error[0]))
+
+
+def _pair(value: float, error: float) -> str:
+    return f"{value:.4f} +- {error:.1g}"

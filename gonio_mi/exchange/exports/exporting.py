@@ -1,0 +1,300 @@
+"""Records in the files of other tools, each with what it has lost."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...array_types import Floats
+from ...collector.hemisphere import Subdivision
+from ...errors import SettingError, checked_choice, warn
+from ...files import check_output, netcdf, replacing
+from ...files.measured_table import MeasuredTable
+from ...files.writing import takes_a_stream
+from ...results.record import Record, wavelengths_nm
+from ...results.summary import summarize
+from ...results.tally import ELEMENT_NAMES
+from ..formats import astm
+from ..formats.radiance import BASES, Product
+from ..formats.reading import endings_of, read_measured
+from .loss import ZEMAX, Loss, fractions_of, losses, part_names
+from .measured_export import write_measured
+from .radiance_export import write_radiance
+from .scatter_export import write_grids, write_merl, write_zemax
+
+ENDINGS = (
+    *(".csv", ".astm", ".xml", ".bsdf", ".nc", ".h5"),
+    *(ending for ending in endings_of("write") if ending != ".bsdf"),
+    ".binary",
+)
+
+# Endings of files that hold Mueller matrices.
+POLARISED = (".csv", ".nc", ".h5")
+
+# Endings of files that have no place for transmitted light.
+REFLECTION_ONLY = (".bsdf", *endings_of("reflection_only"))
+
+# Fates whose flux no patch receives, and the fraction of all rays from which a warning
+# tells of them.
+LOST_FATES = {
+    "sideways": "left sideways, over the edge of the specimen: measure one cell of it "
+    "with a period, or take a smaller footprint",
+    "astray": "went astray: a shape with a medium is open or overlaps another",
+    "truncated": "were truncated by max_depth or max_scatterings",
+    "invalid": "are invalid, by what the BSDF returned",
+}
+MAX_LOST = 1e-3
+
+# Of degrees of exit in a .csv, where 29.999999999999996 is 30.
+ANGLE_DECIMALS = 10
+
+
+def export(
+    record: Record | Sequence[Record],
+    path: str | PathLike[str],
+    basis: str = "klems",
+    *,
+    product: Product | None = None,
+    solar: Sequence[Record] = (),
+    progress: bool = False,
+) -> list[Loss]:
+    """Write a record to a file of another tool, and return what was lost.
+
+    What was written is read back, by Mitsuba if it is for its `measured`, and compared.
+    A warning tells of a specimen that was missed by a relevant part of the rays, of
+    rays whose flux is in no patch, and of flux that a file .xml cannot describe: a
+    side, or angles of incidence.
+
+    Parameters
+    ----------
+    record : Record or sequence of Record
+        Several for ``.xml``: of the front and of the back of a specimen.
+    path : str or path
+        ``.csv``: values at the middles of patches, read by `read_measured`, with the
+        seed by which `compare` knows rays of its own, and with the elements of Mueller
+        matrices as further columns, which nothing here reads back; for several
+        quantities or channels their names are put before the ending. ``.astm``: text
+        after ASTM E1392, of reflection; see :mod:`gonio_mi.exchange.formats.astm`. ``.xml``: a
+        Radiance BSDF. ``.bsdf``: for Mitsuba's `measured`, reflection only; needs a
+        variant of rgb, or a spectral one for channels that are wavelengths. ``.nc``
+        and ``.h5``: NetCDF and HDF5, by xarray. ``.zemax.bsdf``: for Zemax. ``.brdf``
+        and ``.anisotropicbsdf``: for Speos. ``.json`` or ``.xompt``: OpenMATERIAL.
+        ``.binary``: as the MERL database.
+    basis : {"klems", "klems-half", "klems-quarter", "tensor3", "tensor4"}
+        Of Radiance: a Klems basis, or a tensor tree for isotropic (3) or any (4)
+        materials.
+    product : Product, optional
+        Of ``.xml``: name, manufacturer and sizes that the file states.
+    solar : sequence of Record
+        Of ``.xml``: records like the others, for all sunlight.
+    progress : bool
+        Show progress bars on standard error, of what takes long: ``.bsdf``, ``.xml``.
+
+    Returns
+    -------
+    list of Loss
+        One for each incident direction and hemisphere that the format holds.
+
+    Raises
+    ------
+    ValueError
+        For another ending or basis, or a record that the format cannot hold.
+    VariantError
+        Without a variant that is needed.
+    OSError
+        If the file cannot be written.
+    """
+    check_output(path, ENDINGS)
+    if takes_a_stream(path):
+        raise SettingError(
+            f"{path} must be a file, since it is read back, got a pipe or a device"
+        )
+    checked_choice("basis", basis, BASES)
+    ending = Path(path).suffix.lower()
+    records = [record] if isinstance(record, Record) else list(record)
+    if not records:
+        raise SettingError("record must be one record or more, got none")
+    if ending not in POLARISED and any(one.polarised for one in records):
+        raise SettingError(
+            f"a file {ending} holds no Mueller matrices, which {', '.join(POLARISED)} "
+            f"do: measure in an unpolarised variant for it, got "
+            f"{records[0].provenance.variant}"
+        )
+    for one in records:
+        _warn_of_openings(one)
+        _warn_of_lost_light(one)
+    if ending == ".xml":
+        return write_radiance(records, path, basis, product, solar, progress)
+    if len(records) > 1 or product is not None or solar:
+        raise SettingError(
+            "several records, a product and solar light go to a file .xml, got "
+            f"{Path(path).name}"
+        )
+    if Path(path).name.lower().endswith(ZEMAX):
+        return write_zemax(records[0], path)
+    if ending in REFLECTION_ONLY:
+        _warn_of_transmission(records[0], ending)
+    if ending == ".bsdf":
+        return write_measured(records[0], path, progress)
+    return _FORMATS.get(ending, write_grids)(records[0], path)
+
+
+def _warn_of_openings(record: Record) -> None:
+    """Warn if the file cannot say what passed beside the specimen."""
+    ledger = record.ledger
+    if not ledger.missed:
+        return
+    directions = summarize(record).directions
+    if any(direction.exceeds_error("missed") for direction in directions):
+        warn(
+            f"{ledger.missed / ledger.emitted:.2%} of the rays missed the specimen, "
+            "and the file describes it as if it had neither openings nor edges: "
+            "measure one cell of it with a period, or take a smaller footprint"
+        )
+
+
+def _warn_of_lost_light(record: Record) -> None:
+    """Warn of flux that left the specimen, or was given up, and is in no patch."""
+    ledger = record.ledger
+    for row, words in LOST_FATES.items():
+        fraction = ledger.rows[row] / max(ledger.emitted, 1)
+        if fraction > MAX_LOST:
+            warn(
+                f"{fraction:.2%} of the rays {words}; their flux is in no patch of the "
+                "file"
+            )
+
+
+def _warn_of_transmission(record: Record, ending: str) -> None:
+    """Warn of transmitted flux, which the file does not hold."""
+    most = 0.0 if record.dht is None else float(record.dht.max())
+    if most > 0:
+        warn(
+            f"a file {ending} holds reflection only: up to {most:.2%} of the flux was "
+            "transmitted, and is not in it"
+        )
+
+
+def _csv(record: Record, path: str | PathLike[str]) -> list[Loss]:
+    """One table for each quantity and channel."""
+    fractions = np.zeros_like(fractions_of(record))
+    for (hemisphere, number), name in part_names(record, path).items():
+        quantity = ("brdf", "btdf")[hemisphere]
+        table = _table(record, quantity, number)
+        table.save(name, _elements(record, quantity, number))
+        written = _in_patches(read_measured(name), record.subdivision)
+        fractions[:, hemisphere, ..., number] = written
+    return losses(record, fractions)
+
+
+def _astm(record: Record, path: str | PathLike[str]) -> list[Loss]:
+    """One table of reflection, a column for each channel."""
+    names = record.channels
+    if len(names) == 1 and wavelengths_nm(names) is None:
+        names = (astm.GREY,)
+    tables = [_table(record, "brdf", number) for number in range(len(names))]
+    first = tables[0]
+    angles = np.radians([first.theta_i, first.phi_i, first.theta_o, first.phi_o])
+    with replacing(path) as stream:
+        astm.write(
+            angles.T,
+            np.stack([table.value for table in tables], axis=-1),
+            names,
+            stream,
+            source="gonio-mi",
+            angle_units="radians",
+            specimen=record.provenance.name,
+            collector=str(record.subdivision),
+            **record.ray_keys,
+        )
+    written = [
+        _in_patches(read_measured(path, name), record.subdivision) for name in names
+    ]
+    return losses(record, np.stack(written, axis=-1)[:, None])
+
+
+def _in_patches(table: MeasuredTable, patches: Subdivision) -> Floats:
+    """Flux fractions of a table of middles, shape ``(n_incident, n_theta, n_phi)``."""
+    known = np.isfinite(patches.middles[0])
+    projected = patches.projected_solid_angles
+    values = table.value.reshape(-1, int(known.sum()))
+    fractions = np.zeros((len(values), *projected.shape))
+    fractions[:, known] = values * projected[known]
+    return fractions
+
+
+def _table(record: Record, quantity: str, number: int) -> MeasuredTable:
+    """Table of one quantity in one channel."""
+    middles = (np.degrees(angle) for angle in record.subdivision.middles)
+    theta, phi = (np.round(angle, ANGLE_DECIMALS) for angle in middles)
+    known = np.isfinite(theta)
+    n = int(known.sum())
+    if quantity == "btdf":
+        theta = 180 - theta
+    one_sigma = 0.6827
+    parts: dict[str, list[Floats]] = {"value": [], "sigma": []}
+    for one in record:
+        low, high = one.interval(one_sigma, quantity)
+        sigma = getattr(one, f"{quantity}_std_err")
+        sigma = np.where(np.isnan(sigma), (high - low) / 2, sigma)
+        parts["value"].append(getattr(one, quantity)[known, number])
+        parts["sigma"].append(sigma[known, number])
+    columns: dict[str, Any] = {key: np.concatenate(of) for key, of in parts.items()}
+    if np.isnan(columns["sigma"]).any():
+        columns["sigma"] = None
+    exact = record.n_batches < 2 or all(one.binomial for one in record.estimates)
+    return MeasuredTable(
+        theta_i=np.clip(record.theta_i, 0, None).repeat(n),
+        phi_i=record.phi_i.repeat(n),
+        theta_o=np.tile(theta[known], len(record)),
+        phi_o=np.tile(phi[known], len(record)),
+        quantity=quantity,
+        channel=record.channels[number] if len(record.channels) > 1 else None,
+        degrees_of_freedom=None if exact else record.n_batches - 1,
+        aperture_half_angle=record.subdivision.aperture_half_angle,
+        emitter_half_angle=record.asked.divergence,
+        header={"collector": str(record.subdivision)} | record.ray_keys,
+        **columns,
+    )
+
+
+def _elements(record: Record, quantity: str, number: int) -> dict[str, Floats]:
+    """Columns of a table beside its own: elements of Mueller matrices but the first."""
+    if not record.polarised:
+        return {}
+    known = np.isfinite(record.subdivision.middles[0])
+    columns: dict[str, Floats] = {}
+    for prefix, ending in (("", ""), ("sigma_", "_std_err")):
+        matrices = getattr(record, f"{quantity}_mueller{ending}")
+        matrices = matrices if record.stacked else matrices[None]
+        of_rows = matrices[:, known, number].reshape(-1, 16)
+        columns |= {
+            f"{prefix}{name}": of_rows[:, i] for i, name in enumerate(ELEMENT_NAMES, 1)
+        }
+    return columns
+
+
+def _netcdf(
+    record: Record, path: str | PathLike[str], engine: str = "scipy"
+) -> list[Loss]:
+    """Labelled arrays."""
+    with replacing(path) as stream:
+        netcdf.write(record, stream, engine)
+    import xarray
+
+    with xarray.open_dataset(path, engine=engine) as written:
+        values = written["bsdf"].to_numpy()
+    projected = record.subdivision.projected_solid_angles[..., None]
+    return losses(record, values * projected)
+
+
+_FORMATS: dict[str, Callable[[Record, str | PathLike[str]], list[Loss]]] = {
+    ".csv": _csv,
+    ".astm": _astm,
+    ".nc": _netcdf,
+    ".h5": partial(_netcdf, engine="h5netcdf"),
+    ".binary": write_merl,
+}

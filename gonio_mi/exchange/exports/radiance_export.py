@@ -1,0 +1,408 @@
+"""Records as Radiance's BSDF files, and those files at the record's directions."""
+
+from collections.abc import Sequence
+from os import PathLike
+from typing import Any
+
+import numpy as np
+
+from ...array_types import Floats
+from ...collector.borders import Borders
+from ...collector.directions import angles
+from ...collector.hemisphere import Subdivision
+from ...collector.klems import KLEMS
+from ...collector.shirley_chiu import ShirleyChiu
+from ...errors import SettingError, abridged, checked_choice, warn
+from ...files import replacing
+from ...materials.resampling import Material, resampled, specular_peaks
+from ...results.record import Record, wavelengths_nm
+from ..formats import radiance
+from ..formats.radiance import BASES, RANKS, Product, RadianceBSDF
+from ..formats.tensor_tree import TensorTree, isotropic_incidence
+from .daylight import of_daylight
+from .loss import Loss, fractions_of, losses
+
+# Cells per axis of tensor trees; those of rank 3 are cheap enough to be finer.
+TREE_SIZES = {3: 64, 4: 32}
+
+# Points per side of a Klems patch of incidence and of exit that is averaged over, and
+# of the cells of tensor trees, of which there are more.
+POINTS_IN, POINTS_OUT = 3, 8
+CELL_POINTS = 2
+
+# Half the width in degrees of the azimuths of incidence that tensor trees of rank 3
+# average over.
+HALF_WEDGE = 0.05
+
+# Fraction of the flux that may be elsewhere if source and view are exchanged; that of
+# reciprocal specimens of all kinds reaches 0.015, by the patches of their files.
+# Means of pairs of patches are over this many points per side.
+MAX_EXCHANGED, POINTS_OF_PAIRS = 0.03, 3
+
+# Incident directions that are less apart have no lobes between them, in degrees.
+MAX_GAP = 45
+
+
+def write_radiance(
+    records: Sequence[Record],
+    path: str | PathLike[str],
+    basis: str,
+    product: Product | None,
+    solar: Sequence[Record],
+    progress: bool,
+) -> list[Loss]:
+    """Write a specimen to an XML file of Radiance, and return its losses.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Of one channel, of R, G, B, or of wavelengths, which are weighted as daylight
+        is; one for each lit face.
+    path : str or path
+    basis : {"klems", "klems-half", "klems-quarter", "tensor3", "tensor4"}
+        A Klems basis, or a tensor tree for isotropic (3) or any (4) materials.
+    product : Product, optional
+        What else the file says of the specimen.
+    solar : sequence of Record
+        The same of one channel or of wavelengths, for all sunlight instead of what is
+        visible. Default: of `records` of wavelengths that stand for it.
+    progress : bool
+
+    Raises
+    ------
+    ValueError
+        For another basis or other channels, for two records of one side or of unlike
+        specimens, for `tensor3` if the record has several azimuths of incidence or
+        colours, or if its incident directions are no grid.
+    """
+    checked_choice("basis", basis, BASES)
+    _check_sides(records)
+    _check_sides(solar)
+    records, solar = of_daylight(records, solar)
+    blocks: dict[tuple[str, str], Any] = {}
+    sides = [Side(record, basis, progress) for record in records]
+    _warn_of_missing_side(records)
+    # a side that is black, or grey, has one channel
+    colours = max(len(record.channels) for record in records)
+    for side in sides:
+        blocks |= side.blocks(colours)
+    for record in solar:
+        only = Side(record, basis, progress).blocks()
+        blocks |= {("Solar", key): only["Visible", key] for _, key in only}
+    if product is None:
+        name = records[0].provenance.name
+        product = Product(" ".join(name.split()))
+    with replacing(path) as stream:
+        radiance.write(blocks, stream, product)
+    with open(path, "rb") as stream:
+        written = RadianceBSDF(stream)
+    every = [side.losses(written) for side in sides]
+    for side, losses_of_side in zip(sides, every):
+        noise = max(loss.noise for loss in losses_of_side)
+        side.warn_if_exchanged(written, noise)
+    return [loss for losses_of_side in every for loss in losses_of_side]
+
+
+def _check_sides(records: Sequence[Record]) -> None:
+    """Raise ValueError unless the records are of different sides of one specimen."""
+    for record in records:
+        spectral = wavelengths_nm(record.channels) is not None
+        coloured = spectral or record.channels == ("R", "G", "B")
+        if len(record.channels) > 1 and not coloured:
+            raise SettingError(
+                "Radiance's files take records of one channel, of R, G, B or of "
+                f"wavelengths, got {abridged(', '.join(record.channels), 80)}"
+            )
+    sides = [record.asked.side for record in records]
+    if len(set(sides)) < len(sides):
+        raise SettingError(
+            "a file takes one record of each side, front and back, got "
+            f"{' and '.join(sides)}"
+        )
+    digests = {record.provenance.digest for record in records}
+    if len(digests) > 1:
+        raise SettingError(
+            "the records of a file must be of one specimen, got "
+            + " and ".join(abridged(r.provenance.name, 60) for r in records)
+        )
+
+
+def _warn_of_missing_side(records: Sequence[Record]) -> None:
+    """Warn if the file knows light from one side only."""
+    sides = {record.asked.side for record in records}
+    if len(sides) == 1:
+        side = sides.pop()
+        other = "back" if side == "front" else "front"
+        warn(
+            f"the file describes light from the {side} only, and the {other} reflects "
+            f"nothing in it: measure with the side {other} too, and export both "
+            "records to one file"
+        )
+
+
+class Side:
+    """What a record of one lit face becomes in a file."""
+
+    def __init__(self, record: Record, basis: str, progress: bool = False) -> None:
+        self.record, self.progress = record, progress
+        self.rank = RANKS.get(basis)
+        self.face = record.asked.side
+        self.hemispheres = range(record.n_hemispheres)
+        #: patches of exit of the file
+        self.patches = _patches_of(record, basis)
+        self.measured = _is_measured(record, basis, self.patches)
+        if not self.measured:
+            _check_resampled(record, self.rank)
+            self.material = Material(record, specular_peaks(record))
+
+    def blocks(self, colours: int = 1) -> dict[tuple[str, str], Any]:
+        """Matrices or trees by wavelength and direction, of so many channels."""
+        blocks: dict[tuple[str, str], Any] = {}
+        projected = self.patches.projected_solid_angles.reshape(-1, 1)
+        for hemisphere in self.hemispheres:
+            name = radiance.DIRECTIONS[self.face, hemisphere]
+            values = self._flux(hemisphere) / projected
+            values = np.repeat(values, colours // values.shape[-1] or 1, axis=-1)
+            if self.rank is None:
+                blocks |= matrices(np.swapaxes(values, 0, 1), name)
+            else:
+                blocks |= trees(self._grid(values, self.rank), name)
+        return blocks
+
+    def _flux(self, hemisphere: int) -> Floats:
+        """Flux fractions of the file's patches, incident times exit times channels."""
+        if self.measured:
+            return self._in_order(hemisphere)
+        n_in, n_out = CELL_POINTS, CELL_POINTS
+        if self.rank is None:
+            n_in, n_out = POINTS_IN, POINTS_OUT
+        if self.rank == 3:
+            theta_i = isotropic_incidence(self.patches.shape[0], n_in)
+            phi_i = np.full_like(theta_i, 180.0)
+        else:
+            flight = self.patches.points(n_in)
+            theta_i, phi_i = np.degrees(angles(flight * [-1, -1, 1]))
+        return resampled(
+            self.material,
+            hemisphere,
+            theta_i,
+            phi_i,
+            self.patches,
+            n_out,
+            progress=self.progress,
+        )
+
+    def _grid(self, values: Floats, rank: int) -> Floats:
+        """Cells of a tensor tree, ``(size, ..., channels)``.
+
+        The half that rank 3 does not use holds the mean of the other.
+        """
+        size = self.patches.shape[0]
+        grid = values.reshape(-1, *[size] * (rank - 1), values.shape[-1])
+        if rank == 4:
+            return grid
+        unused = np.broadcast_to(grid.mean(axis=(0, 1, 2)), grid.shape)
+        return np.concatenate([grid, unused])
+
+    def _in_order(self, hemisphere: int) -> Floats:
+        """Flux fractions as measured, ``(n_in, n_patches, channels)``."""
+        record = self.record
+        if self.rank == 3:
+            order = np.argsort(-record.theta_i)
+        else:
+            order = np.argsort(_flight_patches(record, self.patches))
+        flux = fractions_of(record)[order, hemisphere]
+        return flux.reshape(len(flux), -1, flux.shape[-1])
+
+    def warn_if_exchanged(self, written: RadianceBSDF, noise: float) -> None:
+        """Warn of reflection that Radiance renders with source and view exchanged.
+
+        `noise` is the fraction of flux that the record's standard errors misplace.
+        """
+        patches = KLEMS["klems-quarter"]
+        elsewhere, shown, true = exchanged(written, self.face, patches)
+        # noise of both of a pair, which grows as the root of the number of patches
+        n_patches = self.record.subdivision.n_patches
+        chance = 2 * noise * np.sqrt(patches.n_patches / n_patches)
+        if elsewhere <= MAX_EXCHANGED + chance:
+            return
+        worst = int(np.argmax(np.abs(shown - true)))
+        theta, phi = (np.degrees(angle[worst, 0]) for angle in patches.middles)
+        warn(
+            f"the {self.face} is not reciprocal: Radiance takes the view for incident "
+            f"light, and so shows {elsewhere:.0%} of the reflected flux in other "
+            f"directions; in a uniform sky {shown[worst]:.3f} for {true[worst]:.3f} as "
+            f"seen from theta {theta:.3g}, phi {phi:.3g}"
+        )
+
+    def losses(self, written: RadianceBSDF) -> list[Loss]:
+        """What the file has lost at the record's own incident directions."""
+        record, patches = self.record, self.patches
+        theta, phi = record.theta_i, record.phi_i
+        if self.rank == 3:
+            phi = np.full_like(phi, 180.0)  # of light that flies to +x
+        middles = patches.points(1)[:, 0]
+        projected = patches.projected_solid_angles.reshape(-1, 1)
+        theirs: Any = [
+            [
+                written.values(self.face, hemisphere, one_theta, one_phi, middles)
+                * projected
+                for hemisphere in self.hemispheres
+            ]
+            for one_theta, one_phi in zip(theta, phi)
+        ]
+        if len(record.channels) == 1:
+            theirs = np.mean(theirs, axis=-1, keepdims=True)
+        if self.measured:
+            return losses(record, np.reshape(theirs, fractions_of(record).shape))
+        ours = [
+            resampled(
+                self.material, h, theta[:, None], phi[:, None], patches, POINTS_OUT
+            )
+            for h in self.hemispheres
+        ]
+        return losses(record, np.array(theirs), np.stack(ours, axis=1))
+
+
+def matrices(values: Floats, direction: str) -> dict[tuple[str, str], Floats]:
+    """Blocks of a Klems matrix ``(n, n, channels)`` in one direction."""
+    if values.shape[-1] == 1:
+        return {("Visible", direction): values[..., 0]}
+    xyz = values @ radiance.XYZ.T
+    return {
+        (name, direction): xyz[..., i] for i, name in enumerate(radiance.MATRIX_NAMES)
+    }
+
+
+def trees(values: Floats, direction: str) -> dict[tuple[str, str], TensorTree]:
+    """Blocks of tensor trees of a grid, ``(n, n, ..., channels)``."""
+    if values.shape[-1] == 1:
+        return {("Visible", direction): TensorTree.of(values[..., 0])}
+    x, y, z = np.moveaxis(values @ radiance.XYZ.T, -1, 0)
+    total = x + 15 * y + 3 * z
+    lit = total > 0
+    total = np.where(lit, total, 1)
+    u = np.where(lit, 4 * x / total, radiance.WHITE[0])
+    v = np.where(lit, 9 * y / total, radiance.WHITE[1])
+    # Radiance takes diffuse light out cell by cell of u' and v', so that these must be
+    # as fine as Y
+    parts = TensorTree.of(y), TensorTree.of(u, flat=0), TensorTree.of(v, flat=0)
+    return {(name, direction): part for name, part in zip(radiance.TREE_NAMES, parts)}
+
+
+def exchanged(
+    written: RadianceBSDF, side: str, patches: Subdivision
+) -> tuple[float, Floats, Floats]:
+    """How reflection changes if source and view are exchanged.
+
+    Returns
+    -------
+    elsewhere : float
+        Fraction of the flux of all pairs of patches, in [0, 1]; 0 if it is reciprocal.
+    shown, true : ndarray, shape (n_patches,)
+        Radiance of a uniform sky of 1 as Radiance shows it from each patch, which is
+        the reflectance of light from there, and as it is.
+    """
+    points = patches.points(POINTS_OF_PAIRS)
+    n, each, _ = points.shape
+    incident = np.degrees(angles(points.reshape(-1, 3)))
+    theta, phi = np.repeat(incident, n * each, axis=1)
+    wo = np.tile(points.reshape(-1, 3), (n * each, 1))
+    values = written.values(side, 0, theta, phi, wo).mean(axis=-1)
+    means = values.reshape(n, each, n, each).mean(axis=(1, 3))
+    solid = patches.projected_solid_angles.ravel()
+    light = means * solid[:, None] * solid
+    total = light.sum()
+    elsewhere = np.abs(light - light.T).sum() / 2 / total if total else 0.0
+    return float(elsewhere), means @ solid, solid @ means
+
+
+def incidence(basis: str, cells: int) -> tuple[Subdivision, Subdivision]:
+    """Patches of incidence and of exit that a file needs.
+
+    Parameters
+    ----------
+    basis : str
+        One of `BASES`.
+    cells : int
+        Per axis of tensor trees, a power of two.
+    """
+    if basis in KLEMS:
+        return KLEMS[basis], KLEMS[basis]
+    patches = ShirleyChiu(cells)
+    if basis == "tensor4":
+        return patches, patches
+    # equal steps of the sine, in the plane of flight to +x
+    sines = np.arange(1, cells // 2) * (2 / cells)
+    theta = (0, *np.degrees(np.arcsin(sines)), 90)
+    wedge = (0, 180 - HALF_WEDGE, 180 + HALF_WEDGE, 360)
+    return Borders(theta, wedge), patches
+
+
+def _patches_of(record: Record, basis: str) -> Subdivision:
+    """Patches of exit of a file."""
+    if basis in KLEMS:
+        return KLEMS[basis]
+    if isinstance(record.subdivision, ShirleyChiu):
+        return record.subdivision
+    return ShirleyChiu(TREE_SIZES[RANKS[basis]])
+
+
+def _is_measured(record: Record, basis: str, patches: Subdivision) -> bool:
+    """Whether a record was measured in the patches of the file, on both ends.
+
+    Raises
+    ------
+    ValueError
+        If it was on one end only, or not in all of them.
+    """
+    filled = record.asked.incident
+    if filled is None:
+        return False
+    wanted, _ = incidence(basis, patches.shape[0])
+    if filled != wanted or record.subdivision != patches:
+        raise SettingError(
+            f"a record whose light fills patches of incidence goes to a file of the "
+            f"same patches, got the incident {filled!s:.40}, the collector "
+            f"{record.subdivision!s:.40} and the basis {basis}: take the same for all"
+        )
+    middles = np.degrees(wanted.middles[1]).ravel()
+    if basis == "tensor3":
+        n, held = len(middles) // 3, np.unique(np.round(record.theta_i, 9))
+    else:
+        n, held = len(middles), np.unique(_flight_patches(record, wanted))
+    if not len(held) == len(record) == n:
+        raise SettingError(
+            f"the record must hold each of the {n} incident patches of {basis} once, "
+            f"got {len(held)} of them in {len(record)} directions: measure with "
+            f"incident {wanted!s:.40} and without theta_i"
+        )
+    return True
+
+
+def _flight_patches(record: Record, patches: Subdivision) -> Any:
+    """Patches of the directions in which a record's incident light flies."""
+    return radiance.incident_patch(record.theta_i, record.phi_i, patches)
+
+
+def _check_resampled(record: Record, rank: int | None) -> None:
+    """Raise ValueError for a tree that cannot hold the record; warn of few angles."""
+    azimuths = len(np.unique(np.round(record.phi_i, 3)))
+    if rank == 3 and azimuths > 1:
+        raise SettingError(
+            "the basis tensor3 is for isotropic materials, and the record has "
+            f"{azimuths} azimuths of incidence: take tensor4"
+        )
+    # it drops their chromaticity with their diffuse light (seen in version 6.0a)
+    if rank == 3 and len(record.channels) > 1:
+        raise SettingError(
+            "Radiance loses the colours of tensor trees of rank 3: take tensor4"
+        )
+    angles = np.unique(np.round(record.theta_i, 3))
+    edges = np.diff([0.0, *angles, 90.0])
+    if edges.max() > MAX_GAP:
+        known = ", ".join(f"{angle:g}" for angle in angles[:6])
+        warn(
+            f"the record has light from theta_i {known} only: what the file says "
+            f"between and beyond, up to {edges.max():g} degrees away, is made of these"
+        )

@@ -1,0 +1,291 @@
+"""All formats of this room, and files read by them: as tables and as materials."""
+
+import contextlib
+import functools
+import importlib
+import pkgutil
+from collections.abc import Iterator, Mapping
+from os import PathLike
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from ... import files
+from ...errors import FileFormatError, SettingError, no_file, shown
+from ...files.measured_table import MeasuredTable, repeats_noted
+from ...results.record import Record, chosen_channel
+from ..tables.reader import Specified, read_text
+from .format import Format, without_mark
+from .scatter import PatchMeans, Points, Scatter, scatter_means
+
+QUANTITIES = ("brdf", "btdf")
+
+# Bytes that tell what a file is.
+HEAD_BYTES = 100_000
+
+
+@functools.cache
+def _all() -> tuple[Format, ...]:
+    """Formats that the modules beside this one list."""
+    package = __package__ or ""
+    names = [
+        module.name for module in pkgutil.iter_modules([str(Path(__file__).parent)])
+    ]
+    modules = [importlib.import_module(f"{package}.{name}") for name in sorted(names)]
+    return tuple(one for module in modules for one in getattr(module, "FORMATS", ()))
+
+
+def endings_of(can: str) -> tuple[str, ...]:
+    """Endings of formats that have a part of `Format`, such as ``"scatter"``."""
+    return tuple(
+        dict.fromkeys(e for one in _all() if getattr(one, can) for e in one.endings)
+    )
+
+
+def lost_in_each() -> str:
+    """Line for each format with what its files cannot hold."""
+    return "\n".join(
+        f"  {' '.join(one.endings):18} {one.program}: {one.loses}"
+        for one in _all()
+        if one.loses
+    )
+
+
+def format_named(ending: str) -> Format:
+    """The format that writes files of an ending."""
+    return next(one for one in _all() if one.write and ending in one.endings)
+
+
+def format_of(path: str | PathLike[str]) -> Format | None:
+    """Format of a file, by its beginning or its name; None of a plain table or record.
+
+    Raises
+    ------
+    OSError
+        If it cannot be opened.
+    """
+    with open(path, "rb") as stream:
+        head = without_mark(stream.read(HEAD_BYTES)).decode("latin-1")
+    head = head.replace("\r\n", "\n").replace("\r", "\n")
+    ending = Path(path).suffix.lower()
+    by_name = [one for one in _all() if ending in one.endings]
+    sure = [one for one in by_name if one.begins is None]
+    seen = [one for one in _all() if one.begins and one.begins.match(head)]
+    seen += [one for one in _all() if one.begins and one.begins.search(head)]
+    both = [one for one in seen if one in by_name]
+    read = [one for one in by_name if not one.refused]
+    return next(iter([*sure, *both, *seen, *read]), None)
+
+
+@contextlib.contextmanager
+def _named(place: object) -> Iterator[None]:
+    """Context in which errors carry the name of the file."""
+    try:
+        yield
+    except FileFormatError as error:
+        raise FileFormatError(f"{place}: {error}") from None
+    except SettingError as error:
+        raise SettingError(f"{place}: {error}") from None
+
+
+def read_scatter(path: str | PathLike[str]) -> Scatter:
+    """Scatter data of a file that holds grids: a material.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be opened.
+    FileFormatError
+        If it is damaged or something else: one sentence.
+    """
+    known = format_of(path)
+    with open(path, "rb") as stream, _named(f"cannot load {path}"):
+        return _scatter(known, stream, path)
+
+
+def _scatter(
+    known: Format | None, stream: BinaryIO, path: str | PathLike[str]
+) -> Scatter:
+    """Grids of a file, or a sentence."""
+    if known is not None and known.refused:
+        raise FileFormatError(known.refused.format(path=path))
+    if known is None or known.scatter is None:
+        raise FileFormatError("it is a table to compare with, and no material")
+    return known.scatter(stream)
+
+
+def load_material(
+    path: str | PathLike[str], side: str = "front"
+) -> Record | PatchMeans:
+    """Record of one batch, the sum of all, or patch means of another tool.
+
+    Parameters
+    ----------
+    path : str or path
+        Ends in ``.npz`` or ``.exr`` for a record; in ``.xml`` for a Radiance BSDF; in
+        ``.bsdf``, ``.brdf``, ``.anisotropicbsdf``, ``.json``, ``.xompt`` or
+        ``.binary`` for the scatter data of another program.
+    side : {"front", "back"}
+        The lit face, where the file holds both.
+
+    Returns
+    -------
+    Record or PatchMeans
+
+    Raises
+    ------
+    ValueError
+        For another ending.
+    OSError
+        If the file cannot be opened.
+    FileFormatError
+        If it is damaged, something else, or lacks reflection from that side.
+    """
+    ending = Path(path).suffix.lower()
+    if ending not in {e for one in _all() for e in one.endings}:
+        return files.load_added_up(path)
+    if not Path(path).exists():
+        raise FileNotFoundError(no_file(path))
+    known = format_of(path)
+    with open(path, "rb") as stream, _named(f"cannot load {path}"):
+        if known is not None and known.material is not None:
+            return known.material(stream, side)
+        return scatter_means(_scatter(known, stream, path))
+
+
+def read_measured(
+    path: str | PathLike[str],
+    channel: str | None = None,
+    *,
+    quantity: str | None = None,
+    columns: Mapping[str, str] | None = None,
+    azimuth: str | None = None,
+) -> MeasuredTable:
+    """Read measured values from text with columns, or from a file of another program.
+
+    What we write ourselves has comment lines ``# key: value``, one line with the names
+    of the columns, and one line for each value, separated by commas::
+
+        # units: 1/sr
+        # quantity: brdf
+        # uncertainty: 0.005
+        # aperture_half_angle: 0.75
+        # emitter_half_angle: 0.25
+        theta_i,phi_i,theta_o,phi_o,value,sigma
+        45,0,30,180,0.3181,0.0004
+
+    The columns, in any order, and their ranges are those of :class:`MeasuredTable`;
+    `sigma` may be left out, and ``degrees_of_freedom`` tells how well it is known. The
+    keys, all optional, are its settings, with ``units``, which must be ``1/sr`` (or 1,
+    for a reflectance factor), and ``aperture_solid_angle`` in sr instead of
+    ``aperture_half_angle``. Further keys are kept as text in `header`, comment lines
+    without a colon are skipped, and so are empty lines. A key that looks like a
+    misspelt one is refused.
+
+    Of others' texts the columns are known by names such as ``theta_i/deg``,
+    ``Viewing Zenith [deg]``, ``src_a``, ``BRDF (1/sr)`` or ``550nm``; cells are
+    separated by tabs, semicolons, commas or blanks, numbers may have decimal commas,
+    and lines of a title may come first. What was inferred is in `notes`; what is
+    ambiguous is asked for.
+
+    Parameters
+    ----------
+    path : str or path
+        Ends in ``.astm`` for text after ASTM E1392 (:mod:`gonio_mi.exchange.formats.astm`); in
+        ``.json`` or ``.xompt`` for OpenMATERIAL, in ``.binary`` for MERL. Files of
+        Zemax, Speos and FRED are known by what they hold; any other is text with
+        columns.
+    channel : str, optional
+        Of several, such as ``"550nm"``.
+    quantity : {"brdf", "brdf_cos", "btdf", "reflectance_factor"}, optional
+        What the values are, if the file does not say it.
+    columns : mapping of str, optional
+        Name of the column, or a number, for ``theta_i``, ``phi_i``, ``theta_o``,
+        ``phi_o``, ``delta_phi``, ``value``, ``sigma`` or ``wavelength``; ``:rad`` or
+        ``:deg`` after the name of an angle says its unit.
+    azimuth : {"specimen", "source", "mirror"}, optional
+        What azimuths of exit are counted from, counter-clockwise: from +x as those of
+        incidence are, from the side of the source, or from that of the mirror
+        direction, where signed polar angles are positive too.
+
+    Returns
+    -------
+    MeasuredTable
+
+    Raises
+    ------
+    OSError
+        If the file cannot be opened.
+    ValueError
+        If the file leaves a question open, or lacks what is asked for.
+    FileFormatError
+        If it is not such a table: one sentence with the file, the line, the column and
+        the value.
+    """
+    if Path(path).suffix.lower() in endings_of("material"):
+        raise FileFormatError(
+            f"{path} is no table of values: measure it as a material, "
+            f"goniometric:filename={path}, and compare the records"
+        )
+    known = format_of(path)
+    if known is None:
+        specified = Specified(channel, quantity, columns or {}, azimuth)
+        return repeats_noted(read_text(path, specified))
+    if known.refused:
+        raise FileFormatError(f"{path}: {known.refused.format(path=path)}")
+    if columns is not None or azimuth is not None:
+        raise SettingError(
+            f"columns and azimuth apply to text with columns, got {path}"
+        )
+    if quantity not in (None, "brdf", *(() if known.reflection_only else ("btdf",))):
+        held = "brdf" if known.reflection_only else "brdf or btdf"
+        raise SettingError(f"{path} holds {held}, got the quantity {shown(quantity)}")
+    points, quantity = _points(known, path, quantity)
+    return repeats_noted(_table(points, path, channel, quantity))
+
+
+def _table(
+    points: Points, path: str | PathLike[str], channel: str | None, quantity: str
+) -> MeasuredTable:
+    """Values of one channel as a table."""
+    channel = chosen_channel(path, points.channels, channel)
+    values = points.values[:, points.channels.index(channel)]
+    known_values = ~(np.isnan(values) & points.partial)
+    several = len(points.channels) > 1 or channel.endswith("nm")
+    theta_i, phi_i, theta_o, phi_o = points.angles[known_values].T
+    try:
+        return MeasuredTable(
+            theta_i,
+            phi_i,
+            theta_o,
+            phi_o,
+            values[known_values],
+            quantity=quantity,
+            channel=channel if several else None,
+            header=points.header,
+            name=str(path),
+            notes=points.notes,
+        )
+    except ValueError as error:
+        raise FileFormatError(f"{path}: {error}") from None
+
+
+def _points(
+    known: Format, path: str | PathLike[str], quantity: str | None
+) -> tuple[Points, str]:
+    """Values at pairs of directions of a file, and their quantity."""
+    with open(path, "rb") as stream:
+        if known.points is not None:
+            with _named(path):
+                return known.points(stream, quantity), quantity or "brdf"
+        with _named(f"cannot load {path}"):
+            scatter = _scatter(known, stream, path)
+    held = [name for h, name in enumerate(QUANTITIES) if scatter.of(h)]
+    if quantity is None and len(held) == 1:
+        quantity = held[0]
+    if quantity is None or quantity not in held:
+        raise SettingError(
+            f"{path} holds {' and '.join(held)}: say --quantity {' or '.join(held)}"
+        )
+    return scatter.points(quantity), quantity

@@ -1,0 +1,368 @@
+"""Scatter data on grids about the normal or the specular direction.
+
+Instruments and lighting programs keep it so: for each incident direction values at
+polar angles and azimuths about an axis, from which they interpolate.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from ...array_types import Floats
+from ...collector import EqualAngle
+from ...collector.directions import angles, direction
+from ...collector.hemisphere import Subdivision
+from ...files.checks import require
+
+# Points per side of a patch that is averaged over.
+POINTS = 6
+
+# Polar angles below the horizon by no more than this, in degrees, are on it.
+HORIZON_TOLERANCE = 1e-6
+
+# Rings and sectors of patches, as fine as such data usually are.
+PATCHES = 60, 72
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Values for one incident direction and hemisphere.
+
+    Directions are an angle from an axis and an azimuth about it, in degrees.
+    The axis is the normal, and azimuths count from the mirror direction; or the axis is
+    the specular direction, and azimuths count from the side of the normal. Both turn
+    counter-clockwise seen against the axis. Transmission is stored as reflection, by
+    mirroring at the plane of the specimen: the axis is the direction straight on.
+
+    Parameters
+    ----------
+    theta_i, phi_i : float
+        Incident direction in degrees; `Scatter` takes none of 90, where no light comes.
+    hemisphere : {0, 1}
+        Reflection or transmission.
+    polar, azimuth : ndarray, shapes (n_polar,), (n_azimuth,)
+        Ascending, in degrees. Azimuths span 360 or less, and are closed to a full turn;
+        those of a half turn from 0 to 180 are mirrored at the plane of incidence.
+    values : ndarray, shape (n_polar, n_azimuth, channels)
+        BRDF or BTDF in 1/sr.
+    specular : bool
+        Whether the axis is the specular direction.
+    total : ndarray, shape (channels,), optional
+        Reflectance or transmittance that the file states.
+    """
+
+    theta_i: float
+    phi_i: float
+    hemisphere: int
+    polar: Floats
+    azimuth: Floats
+    values: Floats
+    specular: bool = False
+    total: Floats | None = None
+
+    def __post_init__(self) -> None:
+        for name, low, high in (("polar", 0, 180), ("azimuth", -360, 720)):
+            angles = getattr(self, name)
+            require(
+                len(angles) > 0
+                and bool(np.isfinite(angles).all())
+                and bool((np.diff(angles) > 0).all())
+                and low <= angles[0]
+                and angles[-1] <= high,
+                f"its {name} angles must ascend within [{low}, {high}] degrees",
+            )
+        require(
+            np.ptp(self.azimuth) <= 360 * (1 + 1e-9), "its azimuths exceed a full turn"
+        )
+        require(
+            self.values.shape[:2] == (len(self.polar), len(self.azimuth)),
+            "a block of its values has another shape than its angles",
+        )
+        require(bool(np.isfinite(self.values).all()), "a value is not finite")
+        require(float(np.abs(self.values).max()) < 1e30, "a value is absurdly large")
+        require(0 <= self.theta_i <= 90, f"its angle of incidence is {self.theta_i:g}")
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether there are values on one side of the plane of incidence only."""
+        return self.azimuth[0] == 0 and self.azimuth[-1] == 180
+
+    def channel(self, number: int) -> "Block":
+        """The same of one channel."""
+        one = slice(number, number + 1)
+        total = None if self.total is None else self.total[one]
+        return replace(self, values=self.values[..., one], total=total)
+
+    @cached_property
+    def _frame(self) -> Floats:
+        """Rows: azimuth 0, azimuth 90, axis."""
+        forward = np.radians(self.phi_i + 180)
+        x = np.array([np.cos(forward), np.sin(forward), 0.0])
+        z = np.array([0.0, 0.0, 1.0])
+        y = np.cross(z, x)
+        if not self.specular:
+            return np.stack([x, y, z])
+        theta_i = np.radians(self.theta_i)
+        sine, cosine = np.sin(theta_i), np.cos(theta_i)
+        return np.stack([sine * z - cosine * x, -y, sine * x + cosine * z])
+
+    def at(self, wo: Floats) -> Floats:
+        """Values in directions, bilinear; beyond the last polar angle that of it.
+
+        Parameters
+        ----------
+        wo : ndarray, shape (..., 3)
+            Unit vectors; the sign of z does not count.
+
+        Returns
+        -------
+        ndarray, shape (..., channels)
+        """
+        local = np.concatenate([wo[..., :2], np.abs(wo[..., 2:])], -1) @ self._frame.T
+        sine = np.hypot(local[..., 0], local[..., 1])
+        polar = np.degrees(np.arctan2(sine, local[..., 2]))
+        azimuth = np.degrees(np.arctan2(local[..., 1], local[..., 0]))
+        if self.mirrored:
+            azimuth = np.abs(azimuth)
+        angles, values = self._closed()
+        azimuth = angles[0] + np.mod(azimuth - angles[0], 360)
+        row, up = _between(self.polar, polar)
+        column, along = _between(angles, azimuth)
+        up, along = up[..., None], along[..., None]
+        next_row = np.minimum(row + 1, len(self.polar) - 1)
+        next_column = np.minimum(column + 1, len(angles) - 1)
+        low = values[row, column] * (1 - along) + values[row, next_column] * along
+        high = values[next_row, column] * (1 - along)
+        high = high + values[next_row, next_column] * along
+        return low * (1 - up) + high * up
+
+    def _closed(self) -> tuple[Floats, Floats]:
+        """Azimuths and values, the first repeated after a full turn."""
+        if self.mirrored or np.ptp(self.azimuth) >= 360 * (1 - 1e-9):
+            return self.azimuth, self.values
+        turn = np.append(self.azimuth, self.azimuth[0] + 360)
+        return turn, np.concatenate([self.values, self.values[:, :1]], axis=1)
+
+    def directions(
+        self, polar: Floats | None = None, azimuth: Floats | None = None
+    ) -> Floats:
+        """Unit vectors of the grid or another one, shape ``(n_polar, n_azimuth, 3)``.
+
+        With z > 0 above the horizon, also for transmission.
+        """
+        polar = self.polar if polar is None else polar
+        azimuth = self.azimuth if azimuth is None else azimuth
+        polar, around = np.meshgrid(polar, azimuth, indexing="ij")
+        return direction(np.radians(polar), np.radians(around)) @ self._frame
+
+    def nodes(self) -> tuple[Floats, Floats, Floats]:
+        """Directions of the values, each once, above the horizon.
+
+        Returns
+        -------
+        theta, phi : ndarray, shape (n,)
+            From the normal, on the lit side, and absolute azimuth, in degrees.
+        values : ndarray, shape (n, channels)
+        """
+        azimuth, values = self.azimuth, self.values
+        if len(azimuth) > 1 and np.ptp(azimuth) >= 360 * (1 - 1e-9):
+            azimuth, values = azimuth[:-1], values[:, :-1]
+        polar, around = np.meshgrid(self.polar, azimuth, indexing="ij")
+        once = (polar > 0) | (around == azimuth[0])
+        wo = direction(np.radians(polar[once]), np.radians(around[once])) @ self._frame
+        theta, phi = np.degrees(angles(wo))
+        if not self.specular:  # as they are written, to the bit
+            theta, phi = polar[once], around[once] + self.phi_i + 180
+        above = theta < 90 - HORIZON_TOLERANCE
+        return theta[above], np.mod(phi[above], 360), values[once][above]
+
+
+@dataclass(frozen=True, eq=False)
+class Scatter:
+    """Blocks of all incident directions and hemispheres of a file.
+
+    Attributes
+    ----------
+    blocks : list of Block
+        Sorted by hemisphere and incident direction.
+    channels : tuple of str
+    header : dict of str
+        What else the file says.
+    notes : tuple of str
+        Sentences on how it was read.
+    """
+
+    blocks: Sequence[Block]
+    channels: tuple[str, ...]
+    header: dict[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        require(len(self.blocks) > 0, "it has no values")
+        require(
+            all(block.theta_i < 90 for block in self.blocks),
+            "it has an incidence of 90 degrees, where no light comes",
+        )
+        keys = [(b.hemisphere, b.phi_i, b.theta_i) for b in self.blocks]
+        require(len(set(keys)) == len(keys), "it has an incident direction twice")
+        # an azimuth of 360 is that of 0 again
+        once: dict[tuple[int, float, float], Block] = {}
+        unlike = 0
+        for block in sorted(self.blocks, key=lambda b: abs(b.phi_i)):
+            key = block.hemisphere, block.phi_i % 360, block.theta_i
+            first = once.setdefault(key, block)
+            unlike += not np.array_equal(first.values, block.values)
+        if len(once) < len(keys):
+            note = f"{len(keys) - len(once)} incidences are there a full turn on again"
+            if unlike:
+                note += f", {unlike} of them with other values: the first ones count"
+            object.__setattr__(self, "notes", (*self.notes, note))
+        kept = [b for b in self.blocks if any(b is one for one in once.values())]
+        blocks = [replace(b, phi_i=b.phi_i % 360) for b in kept]
+        object.__setattr__(self, "blocks", blocks)
+
+    def of(self, hemisphere: int) -> list[Block]:
+        """Blocks of reflection or transmission."""
+        return [block for block in self.blocks if block.hemisphere == hemisphere]
+
+    def points(self, quantity: str) -> "Points":
+        """Values at the nodes: brdf or btdf."""
+        angles, values = [], []
+        hemisphere = int(quantity == "btdf")
+        for block in self.of(hemisphere):
+            theta, phi, of_block = block.nodes()
+            theta = 180 - theta if hemisphere else theta
+            incident = np.full((2, len(theta)), [[block.theta_i], [block.phi_i]])
+            angles.append(np.stack([*incident, theta, phi]))
+            values.append(of_block)
+        return Points(
+            np.concatenate(angles, axis=1).T,
+            np.concatenate(values),
+            self.channels,
+            self.header,
+            (*self.notes, *self._totals(hemisphere)),
+        )
+
+    def _totals(self, hemisphere: int) -> list[str]:
+        """Sentence on the totals that the file states beside those of its values."""
+        ratios = [
+            ratio
+            for block in self.of(hemisphere)
+            if block.total is not None
+            for ratio in total_of(block)[block.total > 0] / block.total[block.total > 0]
+        ]
+        if not ratios:
+            return []
+        low, high = min(ratios), max(ratios)
+        return [f"the values integrate to {low:.4g} to {high:.4g} of the stated totals"]
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Values at pairs of directions.
+
+    Attributes
+    ----------
+    angles : ndarray, shape (n, 4)
+        theta_i, phi_i, theta_o, phi_o in degrees, as `MeasuredTable` has them.
+    values : ndarray, shape (n, channels)
+        BRDF or BTDF in 1/sr.
+    channels : tuple of str
+    header : dict of str
+    notes : tuple of str
+    partial : bool
+        Whether NaN marks directions without a value of that channel.
+    """
+
+    angles: Floats
+    values: Floats
+    channels: tuple[str, ...]
+    header: dict[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    partial: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class PatchMeans:
+    """Patch means of a material, from a file that holds no counts.
+
+    Attributes
+    ----------
+    subdivision : Subdivision
+    theta_i, phi_i : ndarray, shape (n_incident,)
+        In degrees.
+    channels : tuple of str
+    flux_fraction : ndarray
+        ``(n_incident, n_hemispheres, n_theta, n_phi, channels)``.
+    stacked : bool
+    """
+
+    subdivision: Subdivision
+    theta_i: np.ndarray
+    phi_i: np.ndarray
+    channels: tuple[str, ...]
+    flux_fraction: np.ndarray
+    stacked: bool = True
+
+    @classmethod
+    def of(
+        cls,
+        means: np.ndarray,
+        patches: Subdivision,
+        incident: tuple[np.ndarray, np.ndarray],
+        channels: tuple[str, ...],
+    ) -> "PatchMeans":
+        """Means of the BSDF in 1/sr, of the shape of `flux_fraction`."""
+        fractions = means * patches.projected_solid_angles[..., None]
+        return cls(patches, *incident, channels, fractions)
+
+
+def total_of(block: Block, n: int = 200) -> Floats:
+    """Reflectance or transmittance of a block by a midpoint rule, one per channel."""
+    step = (np.arange(n) + 0.5) / n
+    sine2, phi = np.meshgrid(step, step * 2 * np.pi, indexing="ij")
+    wo = direction(np.arcsin(np.sqrt(sine2)), phi)
+    return np.pi * block.at(wo).reshape(n * n, -1).mean(axis=0)
+
+
+def scatter_means(scatter: Scatter, patches: Subdivision | None = None) -> PatchMeans:
+    """Scatter data as means over patches, by default a few degrees wide.
+
+    Parameters
+    ----------
+    scatter : Scatter
+        Transmission for the incident directions of reflection, if it has both.
+    patches : Subdivision, optional
+
+    Raises
+    ------
+    FileFormatError
+        If the two have different incident directions.
+    """
+    patches = patches or EqualAngle(*PATCHES)
+    held = [h for h in (0, 1) if scatter.of(h)]
+    by_angles = {(b.hemisphere, b.theta_i, b.phi_i): b for b in scatter.blocks}
+    incident = sorted({key[1:] for key in by_angles}, key=lambda pair: pair[::-1])
+    require(
+        len(by_angles) == len(held) * len(incident),
+        "it tells reflection and transmission for different incident directions",
+    )
+    shape = len(incident), max(held) + 1, *patches.shape, len(scatter.channels)
+    means, points = np.zeros(shape), patches.points(POINTS)
+    for (hemisphere, *pair), block in by_angles.items():
+        values = np.maximum(block.at(points).mean(axis=1), 0)
+        here = incident.index((pair[0], pair[1])), hemisphere
+        means[here] = values.reshape(shape[2:])
+    theta_i, phi_i = np.array(incident).T
+    return PatchMeans.of(means, patches, (theta_i, phi_i), scatter.channels)
+
+
+def _between(edges: Floats, x: Floats) -> tuple[np.ndarray, Floats]:
+    """Index of the edge before each x, and the part of the way to the next."""
+    if len(edges) == 1:
+        return np.zeros(np.shape(x), int), np.zeros(np.shape(x))
+    index = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
+    way = (x - edges[index]) / (edges[index + 1] - edges[index])
+    return index, np.clip(way, 0.0, 1.0)

@@ -1,0 +1,199 @@
+"""Tensor trees: the BSDF of Radiance with a resolution that varies.
+
+A node is a grid with 2^k values on each axis, the last axis fastest, or has a child
+for each of its orthants, the first axis fastest. Axes are in [0, 1]. Of rank 3, for
+isotropic materials: ``(1 - sin(theta_i)) / 2``, which leaves the upper half unused, and
+the exit direction in Shirley and Chiu's square, turned so that light flies to +x. Of
+rank 4: the direction of flight, and the exit direction, in that square.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...array_types import Floats
+from ...collector.shirley_chiu import square_of
+from ...errors import FileFormatError
+from ...files.checks import require
+from ..tables.text import decimal
+
+# Cells whose values differ by less, relative to their mean, become one.
+MERGE_TOLERANCE = 0.01
+
+# A grid, or nodes of the orthants.
+Node = Floats | list["Node"]
+
+# Levels of the deepest tree read: cells of a millionth.
+MAX_DEPTH = 20
+
+
+@dataclass(frozen=True, eq=False)
+class TensorTree:
+    """Piecewise constant function on a cube of `rank` dimensions.
+
+    Attributes
+    ----------
+    rank : {3, 4}
+    root : ndarray or list
+        Grid of shape ``(n,) * rank``, or ``2**rank`` nodes like this one.
+    """
+
+    rank: int
+    root: Node
+
+    @classmethod
+    def of(cls, values: Floats, flat: float = MERGE_TOLERANCE) -> TensorTree:
+        """Tree of a grid, in which cells of almost one value are merged.
+
+        Parameters
+        ----------
+        values : ndarray, shape ``(n,) * rank``
+            n is a power of two.
+        flat : float
+            Cells become one if their spread is at most this part of their mean.
+        """
+        return cls(values.ndim, _merged(np.asarray(values, dtype=float), flat))
+
+    @classmethod
+    def parsed(cls, text: str, rank: int) -> TensorTree:
+        """Tree from the text that Radiance reads.
+
+        Raises
+        ------
+        FileFormatError
+            If braces or numbers of values do not make a tree. No more is allocated
+            than the text is long.
+        """
+        before, *_ = text.partition("{")
+        require(not before.strip(), "its tensor tree does not begin with a brace")
+        stack: list[Any] = [[]]
+        for brace, run in re.findall("([{}])([^{}]*)", text):
+            words = run.replace(",", " ").split()
+            if brace == "{":
+                require(len(stack) <= MAX_DEPTH, "its tensor tree is too deep")
+                stack.append(_grid(words, rank) if words else [])
+                continue
+            node = stack.pop()
+            require(
+                not words and bool(stack) and isinstance(stack[-1], list),
+                "its tensor tree has values or braces out of place",
+            )
+            require(
+                not isinstance(node, list) or len(node) == 2**rank,
+                f"a branch of its tensor tree must have {2**rank} children",
+            )
+            stack[-1].append(node)
+        require(len(stack) == 1 and len(stack[0]) == 1, "its tensor tree is not closed")
+        return cls(rank, stack[0][0])
+
+    def text(self) -> str:
+        """Text that Radiance reads, with six digits."""
+        return _text(self.root)
+
+    def at(self, points: Floats) -> Floats:
+        """Values at points of the cube, shape ``(n,)``.
+
+        Parameters
+        ----------
+        points : ndarray, shape (n, rank)
+            In [0, 1].
+        """
+        below_one = np.nextafter(1.0, 0.0)
+        return _looked_up(self.root, np.clip(points, 0.0, below_one))
+
+
+def coordinates(rank: int, theta_i: ArrayLike, phi_i: ArrayLike, wo: Floats) -> Floats:
+    """Points of the cube for pairs of directions, shape ``(n, rank)``.
+
+    Parameters
+    ----------
+    rank : {3, 4}
+    theta_i, phi_i : float or array_like, shape (n,)
+        Incident directions in degrees, towards the emitter, from the lit normal.
+    wo : ndarray, shape (n, 3)
+        Unit vectors of exit, on either side.
+    """
+    theta, flight = np.radians(theta_i), np.radians(phi_i) + np.pi
+    sine, x, y = np.sin(theta), wo[:, 0], wo[:, 1]
+    cos, sin = np.cos(flight), np.sin(flight)
+    if rank == 3:
+        # normal incidence is the last of the half that is used
+        first = np.minimum((1 - sine) / 2, np.nextafter(0.5, 0.0))
+        first = np.broadcast_to(first, x.shape)[:, None]
+        x, y = x * cos + y * sin, y * cos - x * sin
+    else:
+        first = square_of(sine * cos, sine * sin)
+        first = np.broadcast_to(first, (len(x), 2))
+    return np.concatenate([first, square_of(x, y)], axis=1)
+
+
+def isotropic_incidence(size: int, n: int) -> Floats:
+    """Angles of incidence in degrees of `n` points in each cell of a tree of rank 3.
+
+    Shape ``(size / 2, n)``: without the half of the `size` cells that is not used.
+    """
+    points = (np.arange(size * n).reshape(size, n) + 0.5) / (size * n)
+    return np.degrees(np.arcsin(1 - 2 * points[: size // 2]))
+
+
+def _merged(values: Floats, flat: float) -> Node:
+    """Node of a grid, as few values as `flat` allows."""
+    mean = values.mean()
+    if np.ptp(values) <= flat * mean:
+        return mean.reshape((1,) * values.ndim)
+    size = len(values)
+    if size == 2:
+        return values
+    children = [_merged(part, flat) for part in _orthants(values)]
+    if all(isinstance(c, np.ndarray) and len(c) == size // 2 for c in children):
+        return values
+    return children
+
+
+def _orthants(values: Floats) -> Iterator[Floats]:
+    """Halves of all axes, the first axis fastest."""
+    half = len(values) // 2
+    halves = slice(None, half), slice(half, None)
+    for number in range(2**values.ndim):
+        yield values[tuple(halves[number >> k & 1] for k in range(values.ndim))]
+
+
+def _text(node: Node) -> str:
+    if isinstance(node, list):
+        return "{\n" + "".join(map(_text, node)) + "}\n"
+    return "{ " + " ".join(f"{value:.6g}" for value in node.ravel()) + " }\n"
+
+
+def _grid(words: Sequence[str], rank: int) -> Floats:
+    """Grid of the values of a leaf."""
+    size = round(len(words) ** (1 / rank))
+    require(
+        size**rank == len(words) and size & (size - 1) == 0,
+        f"a grid of its tensor tree must have 2^{rank}k values, got {len(words)}",
+    )
+    try:
+        values = np.array([decimal(word) for word in words])
+    except ValueError as error:
+        raise FileFormatError(f"its tensor tree: {error}") from None
+    require(bool(np.isfinite(values).all()), "its tensor tree has a value not finite")
+    # as Radiance does
+    return np.maximum(values, 0.0).reshape((size,) * rank)
+
+
+def _looked_up(node: Node, points: Floats) -> Floats:
+    """Values at points in [0, 1)."""
+    if isinstance(node, np.ndarray):
+        return node[tuple((points * len(node)).astype(int).T)]
+    values = np.empty(len(points))
+    upper = points >= 0.5
+    number = upper @ (1 << np.arange(points.shape[1]))
+    for child in np.unique(number):
+        here = number == child
+        values[here] = _looked_up(node[child], 2 * points[here] - upper[here])
+    return values

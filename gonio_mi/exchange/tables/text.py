@@ -1,0 +1,278 @@
+"""Text of tables as programs, instruments and spreadsheets write it: lines and cells.
+
+Tabs, semicolons, commas or blanks between the cells; commas or points in the numbers;
+a byte-order mark; comments; lines of a title above the names of the columns.
+"""
+
+import csv
+import io
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+
+from ...array_types import Floats
+from ...errors import FileFormatError, SettingError, shown
+from .names import is_unit
+
+DECIMAL = re.compile(
+    r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?|[+-]?(nan|inf|infinity)",
+    re.ASCII | re.IGNORECASE,
+)
+
+# What most numbers are written with: all that Python reads of it is a DECIMAL.
+DECIMAL_LETTERS = "0123456789+-.eE "
+
+# More characters than any number needs.
+MAX_DIGITS = 100
+
+# Characters of a line; no table has more, and an image in text has.
+MAX_LINE = 10_000
+
+# Lines of a title, at most, above the names of the columns.
+MAX_TITLES = 200
+
+# Line above a scan in the own text of REFLET instruments (their export "LightTools").
+# Ansys's converter scales these with a reflectance from another file.
+REFLET_HEAD = "Theta Lighting"
+
+DELIMITERS = {"\t": "tabs", ";": "semicolons", ",": "commas", " ": "blanks"}
+COMMENTS = ("#", "%", "!", "//")
+
+# A line number and its text.
+Line = tuple[int, str]
+
+
+@dataclass
+class TextTable:
+    """A text cut into its parts.
+
+    Attributes
+    ----------
+    place : str
+        The file, for messages.
+    comments, titles : list of (int, str)
+        Lines of comments without their marks, and lines above the names of columns.
+    names : list of str
+        Of the columns.
+    number : int
+        Line of the names.
+    rows : list of (int, str)
+        Lines of values.
+    delimiter : str
+    decimal_comma : bool
+    """
+
+    place: str
+    delimiter: str
+    number: int
+    names: list[str]
+    rows: list[Line]
+    comments: list[Line] = field(default_factory=list)
+    titles: list[Line] = field(default_factory=list)
+    decimal_comma: bool = False
+
+    def cells(self) -> Iterator[tuple[int, list[str]]]:
+        """Line number and cells of each row, numbers with a decimal point.
+
+        Raises
+        ------
+        FileFormatError
+            For a row with more or fewer cells than there are names.
+        """
+        for number, line in self.rows:
+            cells = cut(line, self.delimiter)
+            if len(cells) != len(self.names):
+                raise FileFormatError(
+                    f"{self.place}, line {number}: must have {len(self.names)} values "
+                    f"separated by {DELIMITERS[self.delimiter]}, got {len(cells)}"
+                )
+            if self.decimal_comma:
+                cells = [cell.replace(",", ".", 1) for cell in cells]
+            yield number, cells
+
+
+def split_text(
+    path: str | PathLike[str], known: Callable[[str], bool], wanted: str
+) -> TextTable:
+    """Parts of the text of a file.
+
+    Parameters
+    ----------
+    path : str or path
+    known : callable
+        Whether a name is that of a column. The line with most of them, at least two,
+        before the first row of numbers names the columns.
+    wanted : str
+        What to ask for if no line names any.
+
+    Raises
+    ------
+    OSError
+        If it cannot be opened.
+    FileFormatError
+        If it is no text, or has no names or no rows.
+    """
+    comments, lines = _comments_and_lines(path)
+    if not lines:
+        raise FileFormatError(f"{path} is empty: it has no line of column names")
+    first = next((i for i, (_, text) in enumerate(lines) if is_row(text)), len(lines))
+    candidates = [*comments, *lines[: min(first, MAX_TITLES)]]
+    n_known, number, delimiter = _best_names(
+        candidates, lines[first : first + 1], known
+    )
+    if n_known < 2:
+        if any(text.startswith(REFLET_HEAD) for _, text in lines):
+            raise FileFormatError(
+                f"{path} is a scan of a REFLET goniophotometer, whose values have no "
+                "stated scale: export it for Zemax, .bsdf, with the reflectance"
+            )
+        number, text = lines[0]
+        raise FileFormatError(
+            f"{path}, line {number}: must name the columns {wanted}, got "
+            f"{shown(text)}; where other names stand for them, say each: --columns "
+            "theta_i=NAME theta_o=NAME value=NAME"
+        )
+    text = dict(candidates)[number]
+    rows = [line for line in lines if line[0] > number]
+    if not rows:
+        raise FileFormatError(f"{path} has no values: nothing follows line {number}")
+    names = [cell.strip() for cell in cut(text, delimiter)]
+    units = [cell.strip().strip("[]()") for cell in cut(rows[0][1], delimiter)]
+    has_units = len(units) == len(names) and all(map(is_unit, units))
+    # units that are all 1 look like a row of values
+    if len(rows) > 1 and has_units and not is_row(rows[0][1]):
+        names = [f"{name} [{unit}]" for name, unit in zip(names, units)]
+        rows = rows[1:]
+    return TextTable(
+        str(path),
+        delimiter,
+        number,
+        names,
+        rows,
+        [line for line in comments if line[0] != number],
+        [line for line in lines if line[0] < number],
+        has_decimal_commas(rows, delimiter),
+    )
+
+
+def _comments_and_lines(path: str | PathLike[str]) -> tuple[list[Line], list[Line]]:
+    """Comments without their marks, and the other lines that are not empty."""
+    comments: list[Line] = []
+    lines: list[Line] = []
+    for number, line in enumerate(io.StringIO(decoded(path), newline=None), 1):
+        text = line.strip(" \r\n\f\v").rstrip("\t")
+        if len(text) > MAX_LINE:
+            raise FileFormatError(
+                f"{path}, line {number}: must have at most {MAX_LINE} characters, "
+                f"got {len(text)}"
+            )
+        if text.startswith(COMMENTS):
+            comments.append((number, text.lstrip("#%!/ ")))
+        elif text.strip():
+            lines.append((number, text))
+    return comments, lines
+
+
+def _best_names(
+    candidates: Sequence[Line], row: Sequence[Line], known: Callable[[str], bool]
+) -> tuple[int, int, str]:
+    """Number of names that are known, the line that holds most, and its delimiter.
+
+    One that cuts the line into as many cells as the first row, if there is one, wins.
+    """
+    scored = []
+    for order, delimiter in enumerate(DELIMITERS):
+        n_cells = [len(cut(text, delimiter)) for _, text in row]
+        for number, text in candidates:
+            cells = cut(text, delimiter)
+            n_known = sum(map(known, cells))
+            fits = n_known > 0 and len(cells) > 1 and [len(cells)] == n_cells
+            scored.append((fits, n_known, -order, number, delimiter))
+    _, n_known, _, number, delimiter = max(scored, default=(False, 0, 0, 0, ","))
+    return n_known, number, delimiter
+
+
+def decoded(path: str | PathLike[str]) -> str:
+    """Text of a file in UTF-8, or UTF-16 with its mark, or else as Windows has it."""
+    content = Path(path).read_bytes()
+    marks = (b"\xff\xfe", b"\xfe\xff")
+    encodings = ("utf-16",) if content.startswith(marks) else ("utf-8-sig", "cp1252")
+    for encoding in encodings:
+        try:
+            text = content.decode(encoding)
+        except ValueError:
+            continue
+        if not re.search(r"[\0-\x08\x0e-\x1f\x7f-\x9f]", text):
+            return text.replace("\N{MINUS SIGN}", "-")
+    raise FileFormatError(f"{path} is no table of values: it is not text")
+
+
+def cut(line: str, delimiter: str) -> list[str]:
+    """Cells of a line."""
+    if delimiter == " ":
+        return line.split()
+    if '"' in line:
+        line = re.sub(f'{re.escape(delimiter)}[ ]+"', f'{delimiter}"', line)
+        return next(csv.reader([line], delimiter=delimiter))
+    return line.split(delimiter)
+
+
+def is_row(line: str) -> bool:
+    """Whether a line holds at least two numbers and nothing else."""
+    for delimiter in DELIMITERS:
+        cells = [without_degrees(cell) for cell in cut(line, delimiter)]
+        if len(cells) > 1 and all(
+            is_decimal(c) or is_decimal(c.replace(",", ".", 1)) for c in cells
+        ):
+            return True
+    return False
+
+
+def has_decimal_commas(rows: Sequence[Line], delimiter: str) -> bool:
+    """Whether numbers are written with commas, and none with a point."""
+    if delimiter == "," or not any("," in line for _, line in rows):
+        return False
+    cells = [without_degrees(c) for _, line in rows for c in cut(line, delimiter)]
+    written = [c for c in cells if "," in c and is_decimal(c.replace(",", ".", 1))]
+    return bool(written) and not any("." in c for c in cells if is_decimal(c))
+
+
+def without_degrees(text: str) -> str:
+    """Text without one sign of degrees at its end, as angles may have it."""
+    return text.strip().removesuffix("°").rstrip()
+
+
+def is_decimal(text: str) -> bool:
+    """Whether `text` is a number as :func:`decimal` takes it."""
+    word = text.strip()
+    return len(word) <= MAX_DIGITS and DECIMAL.fullmatch(word) is not None
+
+
+def decimal(text: str) -> float:
+    """Return the number that `text` is, as instruments and spreadsheets write them.
+
+    Python's ``float`` takes ``0_3`` for 3, and digits of other scripts.
+
+    Raises
+    ------
+    ValueError
+        If it is no number.
+    """
+    if not is_decimal(text):
+        raise SettingError(f"must be a number, got {shown(text)}")
+    return float(text)
+
+
+def decimals(cells: Sequence[str]) -> Floats | None:
+    """Numbers of many cells, as of :func:`decimal`; None where one is unusual."""
+    longest = max(map(len, cells), default=0)
+    if longest > MAX_DIGITS or not set("".join(cells)) <= set(DECIMAL_LETTERS):
+        return None
+    try:
+        return np.array(list(map(float, cells)))
+    except ValueError:
+        return None

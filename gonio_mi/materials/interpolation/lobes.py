@@ -1,0 +1,411 @@
+"""A stack of records as tables of lobes: what is looked up in them, and drawn of them.
+
+Between two polar angles lobes move by the transport of quantiles, or as micro-normals
+have it, which is in :mod:`.half_vectors`, as are changes with the azimuth.
+
+Seen from the unit disk onto which the hemisphere projects, flux per area is the BRDF
+itself. Turned so that light comes from +x, a mirror lobe lies at ``x = -sin(theta_i)``:
+between two incident angles, what both have in different places is moved on straight
+lines over the disk, and what both have in one place stays there.
+
+Which point of one lobe belongs to which of the other is decided by their quantiles:
+those along x first, then those across (the Knothe-Rosenblatt map; for one dimension see
+A. L. Read, *Linear interpolation of histograms*, 1999,
+doi:10.1016/S0168-9002(98)01347-3), of histograms that are coarse on purpose, so that
+the noise of a record does not steer its lobes. Those that are moved are the records
+themselves, all of them: no flux is lost or made.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...array_types import Floats, Integers
+from ...collector import RingsAndSectors
+from ...errors import SettingError, check_memory
+from ...exchange.formats.scatter import PatchMeans
+from ...results.record import Record
+from .half_vectors import gradients
+from .incident_grid import IncidentGrid
+
+# Cells per side of the histograms; points per side and cell, to fill them.
+N_CELLS = 32
+N_POINTS = 8
+
+# Fraction of the flux that is spread evenly over the histograms: bounds how far apart
+# neighbouring points can be moved. It is not part of the lobes.
+EVEN_FRACTION = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class TransportTable:
+    """Maps of points between the polar angles of a table.
+
+    A *leg* leads from one polar angle to the next; there are ``K = max(N - 1, 1)``.
+    Across a leg, histogram edges of both ends cut the disk into ``S = 2 N_CELLS - 1``
+    strips of x, and each strip into ``S`` cells of ``y / sqrt(1 - x^2)``; within one,
+    points move together.
+
+    Attributes
+    ----------
+    strips, strip_slopes : ndarray, shape (2, P, K, H, S)
+        Where a strip begins, and its width per fraction of the flux, on both ends of
+        the leg.
+    cells, cell_slopes : ndarray, shape (2, P, K, H, S, S)
+        The same across a strip.
+    """
+
+    strips: Floats
+    strip_slopes: Floats
+    cells: Floats
+    cell_slopes: Floats
+
+    @classmethod
+    def of(
+        cls, brdf: Floats, patches: RingsAndSectors, phi_i: Floats
+    ) -> TransportTable:
+        """Strips and cells of all legs of a table's lobes."""
+        n_azimuths, n_angles, n_hemispheres = brdf.shape[:3]
+        shape = n_azimuths, max(n_angles - 1, 1), n_hemispheres, 2 * N_CELLS - 1
+        # both ends as channels, which are not copied
+        arrays = [
+            np.moveaxis(aligned((*shape, *more, 2)), -1, 0)
+            for more in ((), (), shape[-1:], shape[-1:])
+        ]
+        for azimuth, phi in enumerate(np.radians(phi_i)):
+            histograms = _histograms(brdf[azimuth], patches, phi)
+            for leg, hemisphere in np.ndindex(shape[1:3]):
+                ends = leg, min(leg + 1, n_angles - 1)
+                found = _leg(*(histograms[end, hemisphere] for end in ends))
+                for array, own in zip(arrays, found):
+                    array[:, azimuth, leg, hemisphere] = own
+        return cls(*arrays)
+
+
+def _histograms(brdf: Floats, patches: RingsAndSectors, phi_i: float) -> Floats:
+    """Flux in each cell of the disk, normalised, shape ``(N, H, N_CELLS, N_CELLS)``.
+
+    Of all channels of the lobes ``(N, H, n_theta, n_phi, channels)`` of an azimuth.
+    Light comes from +x; cells are equal steps of x and of ``y / sqrt(1 - x^2)``.
+    """
+    n = N_CELLS * N_POINTS
+    x, v = np.meshgrid(*2 * [(np.arange(n) + 0.5) * (2 / n) - 1], indexing="ij")
+    across = np.sqrt(1 - x**2)
+    y, z = v * across, across * np.sqrt(1 - v**2)
+    turned = [
+        x * np.cos(phi_i) - y * np.sin(phi_i),
+        x * np.sin(phi_i) + y * np.cos(phi_i),
+    ]
+    index = patches.patch(np.stack([*turned, z], axis=-1))
+    points = N_CELLS, N_POINTS, N_CELLS, N_POINTS
+    flux = np.moveaxis(np.empty((N_CELLS, N_CELLS, *brdf.shape[:2])), (2, 3), (0, 1))
+    for lobe in np.ndindex(brdf.shape[:2]):
+        at_points = mean_lobe(brdf[lobe]).ravel()[index] * across
+        of_cells = at_points.reshape(points).transpose(1, 3, 0, 2)
+        flux[lobe] = of_cells.reshape(-1, N_CELLS, N_CELLS).sum(axis=0)
+    even = across.reshape(points).sum(axis=(1, 3))
+    total = flux.sum(axis=(2, 3), keepdims=True)
+    flux = flux / np.where(total > 0, total, 1)
+    return (1 - EVEN_FRACTION) * flux + EVEN_FRACTION * even / even.sum()
+
+
+def _leg(first: Floats, second: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Strips and cells of a leg between two histograms, and their slopes."""
+    along = [cumulative(histogram.sum(axis=1)) for histogram in (first, second)]
+    strips, strip_slopes, of = merged(*along)
+    across = [
+        cumulative(histogram)[index] for histogram, index in zip((first, second), of)
+    ]
+    cells, cell_slopes, _ = merged(*across)
+    return strips, strip_slopes, cells, cell_slopes
+
+
+def cumulative(weight: Floats) -> Floats:
+    """Fraction of the flux below each edge of the last axis; even without any flux."""
+    total = weight.sum(axis=-1, keepdims=True)
+    fraction = np.where(total > 0, weight, 1.0)
+    cumulative = np.cumsum(fraction, axis=-1)
+    cumulative = cumulative / cumulative[..., -1:]
+    return np.concatenate([np.zeros_like(total), cumulative], axis=-1)
+
+
+def merged(first: Floats, second: Floats) -> tuple[Floats, Floats, Integers]:
+    """Pieces on which the quantile functions of both distributions are linear.
+
+    Parameters
+    ----------
+    first, second : ndarray, shape (..., n + 1)
+        Fraction of the flux below n + 1 equidistant edges from -1 to 1; strictly
+        ascending.
+
+    Returns
+    -------
+    begin, slope : ndarray, shape (2, ..., 2 n - 1)
+        Where each piece begins in either distribution; its growth per fraction of the
+        flux.
+    of : ndarray of int, shape (2, ..., 2 n - 1)
+        The cell that it is part of.
+    """
+    n = first.shape[-1] - 1
+    inner = np.concatenate([first[..., 1:-1], second[..., 1:-1]], axis=-1)
+    order = np.argsort(inner, axis=-1, kind="stable")
+    zero = np.zeros((*first.shape[:-1], 1))
+    fraction = np.take_along_axis(inner, order, axis=-1)
+    fraction = np.concatenate([zero, fraction], axis=-1)
+    passed = np.cumsum(order < n - 1, axis=-1)
+    passed = np.concatenate([zero.astype(int), passed], axis=-1)
+    of = np.stack([passed, np.arange(2 * n - 1) - passed])
+    begin, slope = np.empty((2, *of.shape))
+    for end, cumulative in enumerate((first, second)):
+        low = np.take_along_axis(cumulative, of[end], axis=-1)
+        high = np.take_along_axis(cumulative, of[end] + 1, axis=-1)
+        slope[end] = (2 / n) / (high - low)
+        begin[end] = of[end] * (2 / n) - 1 + (fraction - low) * slope[end]
+    return begin, slope, of
+
+
+# ---------------------------------------------------------------------- tables of lobes
+
+# Of the whole table as Dr.Jit holds it: half of what a machine of 8 GiB has. While it
+# is made, it needs a fifth more.
+MAX_BYTES = 2**32
+
+
+class TooLargeError(SettingError):
+    """A record whose table does not fit into memory."""
+
+
+@dataclass(frozen=True, eq=False)
+class LobeTable:
+    """Lobes at ``P`` azimuths x ``N`` polar angles of incidence.
+
+    Attributes
+    ----------
+    grid : IncidentGrid
+        Incident directions. A single azimuth means isotropic.
+    patches : RingsAndSectors
+        Of absolute azimuth.
+    brdf : ndarray, shape (P, N, H, n_theta, n_phi, channels)
+        Patch means of BRDF and BTDF in 1/sr, in ``H`` hemispheres.
+    gradients : pair of ndarray, shape of `brdf`
+        Their changes across each patch; see :func:`.half_vectors.gradients`.
+    flux : ndarray, shape (P, N, H, channels)
+        Flux fractions: reflectance and transmittance.
+    """
+
+    grid: IncidentGrid
+    patches: RingsAndSectors
+    brdf: Floats
+    gradients: tuple[Floats, Floats]
+    flux: Floats
+
+    @property
+    def drawing(self) -> Drawing:
+        """By what points of the lobes are drawn."""
+        *lobes, n_theta, n_phi, _ = self.brdf.shape
+        areas = self.patches.projected_solid_angles
+        totals = np.empty((*lobes, n_theta))
+        sectors, sector_tilts = (
+            aligned((*lobes, n_theta, n_phi + 1, 1))[..., 0] for _ in range(2)
+        )
+        for lobe in np.ndindex(*lobes):
+            weight = mean_lobe(self.brdf[lobe]) * areas
+            totals[lobe] = total = weight.sum(axis=-1)
+            sectors[lobe] = cumulative(weight)
+            tilts = mean_lobe(self.gradients[0][lobe])
+            tilts *= areas
+            tilts /= np.where(total > 0, total, 1)[..., None]
+            np.cumsum(tilts, axis=-1, out=sector_tilts[(*lobe, ..., slice(1, None))])
+        return Drawing(
+            rings=cumulative(totals),
+            sectors=sectors,
+            tilts=sector_tilts[..., -1],
+            sector_tilts=sector_tilts,
+        )
+
+    @property
+    def legs(self) -> TransportTable:
+        """Maps by which quantiles are transported."""
+        return TransportTable.of(self.brdf, self.patches, self.grid.phi_i)
+
+
+class MeasuredLobes:
+    """Lobes of a record's directions, of which tables are made.
+
+    Parameters
+    ----------
+    record : Record or PatchMeans
+    mixture : sequence of float, shape (channels,), optional
+        Weights that make one channel of all.
+    keep_dark : bool
+        Whether a lower hemisphere is part of them in which there is no light, or less
+        of all the light than double precision can tell from none: of grazing rays that
+        slip through a mesh it is.
+
+    Attributes
+    ----------
+    grid : IncidentGrid
+    patches : RingsAndSectors
+    flux : ndarray, shape (n, H, rows, columns, channels)
+        Flux fractions as measured, in the record's patches.
+
+    Raises
+    ------
+    ValueError
+        If the incident directions are unknown, no grid, or too far apart in azimuth;
+        or if nothing was incident.
+    """
+
+    def __init__(
+        self,
+        record: Record | PatchMeans,
+        mixture: ArrayLike | None = None,
+        keep_dark: bool = False,
+    ) -> None:
+        self.measured = record.subdivision
+        flux = record.flux_fraction if record.stacked else record.flux_fraction[None]
+        if not np.isfinite(flux).all():
+            raise SettingError("the record must have incident light in all its stack")
+        if not (keep_dark or is_significant(flux[:, 1:].sum(), flux.sum())):
+            flux = flux[:, :1]
+        self.grid = IncidentGrid.of(record, flux)
+        self.flux, self.mixture = flux, mixture
+        blank = np.zeros((*self.measured.shape, 1))
+        self.patches = self.measured.in_rings(blank)[0]
+
+    def whole(self) -> LobeTable:
+        """Table of all azimuths and polar angles.
+
+        Raises
+        ------
+        ValueError
+            If it does not fit into memory.
+        """
+        n_azimuths, n_angles = self.grid.index.shape
+        n_bytes = check_table(n_azimuths, n_angles, self._shape)
+        making = "a table of this record, while it is made,"
+        check_memory(making, 1.2 * n_bytes, "measure on fewer patches")
+        return self.table(range(n_azimuths), range(n_angles))
+
+    @property
+    def _shape(self) -> tuple[int, ...]:
+        """``(H, n_theta, n_phi, channels)`` of the lobes of a direction."""
+        n_channels = self.flux.shape[-1] if self.mixture is None else 1
+        return self.flux.shape[1], *self.patches.shape, n_channels
+
+    def table(self, azimuths: Sequence[int], angles: Sequence[int]) -> LobeTable:
+        """Table of some azimuths and polar angles, as if no others were known."""
+        brdf, rings = self.brdf(azimuths, angles), self.patches
+        changes = aligned(brdf.shape), aligned(brdf.shape)
+        flux = np.empty((*brdf.shape[:3], brdf.shape[-1]))
+        for lobe in np.ndindex(brdf.shape[:2]):  # by lobe: all at once need the memory
+            own = np.ascontiguousarray(brdf[lobe])
+            flux[lobe] = np.einsum("hrsc,rs->hc", own, rings.projected_solid_angles)
+            if rings == self.measured:  # else what is below them has no rings
+                found = gradients(own, rings.theta_edges, rings.phi_edges)
+                changes[0][lobe], changes[1][lobe] = found
+        part = self.grid.part(azimuths, angles)
+        return LobeTable(part, rings, brdf, changes, flux)
+
+    def brdf(self, azimuths: Sequence[int], angles: Sequence[int]) -> Floats:
+        """BRDF and BTDF in 1/sr, shape ``(P, N, H, n_theta, n_phi, channels)``."""
+        brdf = aligned((len(azimuths), len(angles), *self._shape))
+        areas = self.measured.projected_solid_angles[..., None]
+        for column, angle in enumerate(angles):
+            found = self.grid.filled(self.flux, azimuths, [angle])
+            if self.mixture is not None:
+                found = found @ np.asarray(self.mixture, dtype=float)[:, None]
+            # a sum that is negative by chance is no light
+            found = np.maximum(found, 0) / areas
+            brdf[:, column] = self.measured.in_rings(found)[1][:, 0]
+        return brdf
+
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """Cumulative distributions of the flux of a table's lobes.
+
+    Attributes
+    ----------
+    rings : ndarray, shape (P, N, H, n_theta + 1)
+        Fraction of the flux (mean of the channels) below each edge.
+    sectors : ndarray, shape (P, N, H, n_theta, n_phi + 1)
+        The same for the azimuth within a ring.
+    tilts : ndarray, shape (P, N, H, n_theta)
+        Change of the flux across each ring, as a fraction of its flux.
+    sector_tilts : ndarray, shape (P, N, H, n_theta, n_phi + 1)
+        The same of all sectors below each edge of azimuth.
+    """
+
+    rings: Floats
+    sectors: Floats
+    tilts: Floats
+    sector_tilts: Floats
+
+
+def aligned(shape: tuple[int, ...]) -> Floats:
+    """Zeros, of which each channel, the last axis, is in the place of Dr.Jit's arrays.
+
+    Dr.Jit takes NumPy's memory as it is: a table is not copied, as long as its channels
+    are in one row each. A kernel that reads from a place that is no multiple of 64
+    bytes is another one: another record would be compiled anew, by chance.
+    """
+    *axes, n_channels = shape
+    n = math.prod(axes)
+    row = -(-n // 8) * 8
+    memory = np.zeros(n_channels * row + 7)
+    start = -memory.ctypes.data % 64 // 8
+    rows = memory[start:][: n_channels * row].reshape(n_channels, row)[:, :n]
+    return np.moveaxis(rows.reshape(n_channels, *axes), 0, -1)
+
+
+def mean_lobe(lobe: Floats) -> Floats:
+    """Mean of a lobe's channels."""
+    mean: Floats = np.ascontiguousarray(lobe).mean(axis=-1)
+    return mean
+
+
+def mean_lobes(lobes: Floats) -> Floats:
+    """Mean of the channels of each lobe of a table."""
+    means = aligned((*lobes.shape[:-1], 1))[..., 0]
+    for lobe in np.ndindex(lobes.shape[:2]):
+        means[lobe] = mean_lobe(lobes[lobe])
+    return means
+
+
+def is_significant(part: float, total: float) -> bool:
+    """Whether double precision distinguishes a part of the total from none."""
+    return bool(part > np.finfo(float).eps * total)
+
+
+def check_table(n_azimuths: int, n_angles: int, lobes: tuple[int, ...]) -> float:
+    """Bytes that the table of so many directions needs as Dr.Jit holds it.
+
+    Parameters
+    ----------
+    n_azimuths, n_angles : int
+    lobes : (n_hemispheres, n_theta, n_phi, channels)
+        Shape of the lobes of a direction.
+
+    Raises
+    ------
+    TooLargeError
+        If these are more than any table may have.
+    """
+    n_hemispheres, *patches, n_channels = lobes
+    means = 3 if n_channels > 1 else 0
+    of_patch, of_leg = 3 * n_channels + means + 2, 4 * (2 * N_CELLS) ** 2
+    each = 8 * n_hemispheres * (math.prod(patches) * of_patch + of_leg)
+    n_bytes = n_azimuths * n_angles * each
+    if n_bytes > MAX_BYTES:
+        raise TooLargeError(
+            f"a table of {n_azimuths} x {n_angles} incident directions and "
+            f"{patches[0]} x {patches[1]} patches must need at most {MAX_BYTES:.2g} "
+            f"bytes, got {n_bytes:.2g}"
+        )
+    return n_bytes

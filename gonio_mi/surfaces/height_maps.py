@@ -1,0 +1,179 @@
+"""Maps of heights as files have them: instruments, images, arrays."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..array_types import Floats
+from ..errors import FileFormatError, PackageError, SpecimenError, no_file, to_install
+
+# Endings of the files of instruments, and the formats in which the library
+# SurfaceTopography may read each. Left out are containers of anything (HDF5, NetCDF,
+# MATLAB, zip), and tables that may be a measured BSDF.
+SAME_NAME = """
+al3d asc bcr datx di ezd frt gwy ibw jpk lext mdt mi mnt nms oir opd opdx os3d
+plu plux poir qep sdf sur tmd x3p zmg zon
+"""
+READERS = {name: name for name in SAME_NAME.split()} | {
+    **dict.fromkeys(("001", "spm"), "di"),
+    "apx": "plu",
+    "bcrf": "bcr",
+    **dict.fromkeys(("cur", "stp", "tom", "top"), "wsxm"),
+    "dat": "metropro,asc",
+    "nid": "ezd",
+    **dict.fromkeys(("tif", "tiff"), "ps,tiff"),
+    **dict.fromkeys(("vk3", "vk4", "vk6", "vk7"), "vk"),
+}
+
+# Files that are a specimen by their name alone: heights and nothing else.
+ENDINGS = tuple(f".{name}" for name in (*READERS, "npy", "png"))
+
+# Seconds that reading a file may take.
+PATIENCE = 300
+
+
+@dataclass(frozen=True, eq=False)
+class HeightMap:
+    """Heights on a regular grid, and what their file says of them.
+
+    Attributes
+    ----------
+    heights : ndarray of float64, shape (n_y, n_x)
+        Row 0 is the first of the file and the smallest y; NaN for missing points.
+    source : str
+        What they come from, in words.
+    spacing : (float, float), optional
+        Distance of grid points along x and y, if the file says it.
+    unit : str, optional
+        Of heights and spacing, if the file says it.
+    periodic : bool, optional
+        Whether the last row and column are next to the first, if the file says it.
+    codes : int, optional
+        Largest whole number that its type holds, where heights are codes of an image.
+    """
+
+    heights: Floats
+    source: str
+    spacing: tuple[float, float] | None = None
+    unit: str | None = None
+    periodic: bool | None = None
+    codes: int | None = None
+
+
+def is_height_map(path: str | os.PathLike[str]) -> bool:
+    """Whether a file's name says that it holds heights."""
+    return os.fspath(path).lower().endswith(ENDINGS)
+
+
+def read_height_map(
+    path: Path, read_image: Callable[[Path], NDArray[np.generic]]
+) -> HeightMap:
+    """Heights of a file, by its ending.
+
+    Parameters
+    ----------
+    path : Path
+        A ``.npy`` file, a file of an instrument (:data:`READERS`), or else an image.
+    read_image : callable
+        Returns the pixels of an image in their own type, channels last if it has
+        several.
+
+    Raises
+    ------
+    SpecimenError, FileFormatError
+        If there is no such file, or it is damaged.
+    ImportError
+        If the extra ``surfaces`` is not installed, and the file needs it.
+    """
+    if not path.is_file():
+        raise SpecimenError(f"heightfield.filename: {no_file(path)}")
+    ending = path.suffix[1:].lower()
+    if ending == "npy":
+        return HeightMap(_npy(path), path.name)
+    if ending in READERS:
+        return _foreign(path, READERS[ending])
+    pixels = read_image(path)
+    return HeightMap(_grid(pixels), path.name, codes=_codes(pixels.dtype))
+
+
+def _npy(path: Path) -> Any:
+    """Array of a ``.npy`` file, and of nothing else that NumPy loads by its content."""
+    try:
+        return np.lib.format.open_memmap(path, mode="r")
+    except Exception as error:  # a damaged header is evaluated as Python
+        raise unreadable(path, error) from None
+
+
+def unreadable(path: Path, error: Exception) -> SpecimenError:
+    """Error for a file that holds no heights, with the reason of whoever read it."""
+    return SpecimenError(
+        f"heightfield.filename must be an image, a .npy file or a file of a "
+        f"profilometer, got {path}: {error}"
+    )
+
+
+def _grid(array: NDArray[np.generic]) -> Any:
+    """First channel of an array of pixels."""
+    return array[..., 0] if array.ndim == 3 and array.size else array
+
+
+def _codes(dtype: np.dtype[Any]) -> int | None:
+    return int(np.iinfo(dtype).max) if dtype.kind in "ui" else None
+
+
+def _foreign(path: Path, formats: str) -> HeightMap:
+    """Heights of an instrument's file."""
+    if find_spec("SurfaceTopography") is None:
+        raise PackageError(
+            f"the library SurfaceTopography must be installed to read {path.name}: "
+            f"{to_install('surfaces')}"
+        )
+    try:
+        facts, heights = read_apart(str(path), formats.split(","))
+    except ValueError as error:
+        raise FileFormatError(f"{path} cannot be read: {error}") from None
+    return HeightMap(
+        heights,
+        f"{path.name} ({facts['format']}, {facts['channel']})",
+        spacing=None if facts["spacing"] is None else tuple(facts["spacing"]),
+        unit=facts["unit"],
+        periodic=facts["periodic"],
+        codes=facts.get("codes"),
+    )
+
+
+def read_apart(path: str, formats: Sequence[str]) -> tuple[dict[str, Any], Floats]:
+    """:func:`~gonio_mi.surfaces.height_map_reader.read` in a process of its own."""
+    program = Path(__file__).with_name("height_map_reader.py")
+    # threads of a linear algebra that is not needed take address space
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "heights.npy"
+        try:
+            done = subprocess.run(
+                [sys.executable, str(program), path, ",".join(formats), str(out)],
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                timeout=PATIENCE,
+            )
+            facts = json.loads(done.stdout.decode().splitlines()[-1])
+        except subprocess.TimeoutExpired:
+            raise ValueError(f"that took more than {PATIENCE} seconds") from None
+        except (ValueError, IndexError):
+            raise ValueError("its reader broke down, it is probably damaged") from None
+        if "error" in facts:
+            raise ValueError(facts["error"])
+        return facts, np.load(out)

@@ -1,0 +1,80 @@
+"""Meshes of other programs: which files are, and triangles of STL, binary or text."""
+
+import os
+import re
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+
+from ..array_types import Floats
+from ..errors import FileFormatError
+from ..exchange.tables.text import decimal
+from ..files.checks import require
+
+# Mitsuba's plugins by the ending of the file.
+MESHES = {".obj": "obj", ".ply": "ply", ".stl": "stl"}
+
+# A binary file: a header, the number of triangles, and for each a normal, three
+# vertices and two bytes more, all little-endian.
+HEADER, COUNT = 80, 4
+FIELDS = [("normal", "<f4", 3), ("vertices", "<f4", (3, 3)), ("more", "<u2")]
+TRIANGLE = np.dtype(FIELDS)
+
+VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)")
+
+
+def is_mesh(path: object) -> bool:
+    """Whether a path ends as a mesh does: in .obj, .ply or .stl."""
+    named = isinstance(path, (str, os.PathLike))
+    return named and Path(str(path)).suffix.lower() in MESHES
+
+
+def read_stl(path: str | PathLike[str]) -> Floats:
+    """Vertices of the triangles of a file, shape ``(n, 3, 3)``.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be opened.
+    FileFormatError
+        If it is damaged or something else.
+    """
+    data = Path(path).read_bytes()
+    try:
+        vertices = _binary(data) if _is_binary(data) else _text(data)
+        require(len(vertices) > 0, "it holds no triangle")
+        require(bool(np.isfinite(vertices).all()), "a vertex is not finite")
+    except (FileFormatError, ValueError) as error:
+        raise FileFormatError(f"cannot load {path}: {error}") from None
+    return vertices
+
+
+def _is_binary(data: bytes) -> bool:
+    """Whether the file is as long as a binary one says; those may begin like text."""
+    start = HEADER + COUNT
+    if len(data) < start:
+        return False
+    n = int(np.frombuffer(data, "<u4", 1, HEADER)[0])
+    return len(data) == start + n * TRIANGLE.itemsize
+
+
+def _binary(data: bytes) -> Floats:
+    triangles = np.frombuffer(data, TRIANGLE, offset=HEADER + COUNT)
+    return triangles["vertices"].astype(float)
+
+
+def _text(data: bytes) -> Floats:
+    require(
+        data.lstrip()[:5] == b"solid" and b"\0" not in data,
+        "it is no STL file: neither text that begins with solid, nor as long as its "
+        "number of triangles says",
+    )
+    numbers = [
+        decimal(word.decode("ascii", "replace"))
+        for vertex in VERTEX.findall(data)
+        for word in vertex
+    ]
+    facets = len(re.findall(rb"\bendfacet\b", data))
+    require(len(numbers) == 9 * facets, "its facets must have three vertices each")
+    return np.reshape(numbers, (-1, 3, 3))

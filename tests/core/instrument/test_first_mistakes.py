@@ -1,0 +1,195 @@
+"""What a new user does wrong in Python is told: by a warning, or by what was meant."""
+
+import warnings
+
+import gonio_mi as gonio
+
+# isort: split
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from gonio_mi.campaigns.measure import measure_whole
+from gonio_mi.cli import main
+from gonio_mi.errors import LostLightWarning
+from gonio_mi.validation.reproducer import source_of
+from gonio_mi.validation.versions.asking import Question
+
+BALL = {"type": "sphere", "bsdf": {"type": "diffuse"}}
+FEW = {"rays": 2000, "batches": 2, "collector": "projected:2x2"}
+
+
+def warned(specimen, *args, **settings):
+    """Warnings of a measurement."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        gonio.measure(specimen, *args, **FEW | settings)
+    return caught
+
+
+# -------------------------------------------------------------------------- roughness
+
+
+@pytest.mark.parametrize(
+    ("bsdf", "told"),
+    [
+        ({"type": "roughconductor", "alpha": -0.2}, "alpha of the BSDF RoughConductor"),
+        (
+            {"type": "roughdielectric", "alpha_u": 0.1, "alpha_v": -0.3},
+            "alpha_v of the BSDF RoughDielectric must be 0 or more, got -0.3",
+        ),
+        ({"type": "roughplastic", "alpha": -0.2}, "alpha of the BSDF RoughPlastic is"),
+        (
+            {"type": "principled", "roughness": 1.5},
+            "roughness of the BSDF Principled must be from 0 to 1, got 1.5",
+        ),
+        (
+            {"type": "twosided", "bsdf": {"type": "roughconductor", "alpha": -1.0}},
+            "alpha of the BSDF TwoSidedBRDF must be 0 or more, got -1",
+        ),
+    ],
+)
+@pytest.mark.usefixtures("mono")
+def test_a_roughness_out_of_range_is_told(bsdf, told):
+    """Mitsuba loads it without a word; the message names plugin, parameter, value."""
+    [found] = warned(bsdf, 30)
+    assert told in str(found.message)
+    assert found.filename == __file__
+
+
+@pytest.mark.parametrize(
+    "bsdf",
+    [
+        {"type": "roughconductor", "alpha": 0.0},
+        {"type": "roughconductor", "alpha": 1.2},
+        {"type": "roughplastic", "alpha": 0.001},
+        {"type": "principled", "roughness": 1.0},
+        {
+            "type": "roughconductor",
+            "alpha": {"type": "bitmap", "data": np.full((2, 2, 1), 0.3), "raw": True},
+        },
+    ],
+)
+@pytest.mark.usefixtures("mono")
+def test_twin_a_roughness_in_range_is_not(bsdf):
+    if isinstance(bsdf.get("alpha"), dict):
+        texture = bsdf["alpha"] | {"data": mi.TensorXf(bsdf["alpha"]["data"])}
+        bsdf = bsdf | {"alpha": texture}
+    assert warned(bsdf, 30) == []
+
+
+# ------------------------------------------------------------------------- lost light
+
+
+@pytest.mark.usefixtures("mono")
+def test_light_that_misses_is_told_once():
+    """Of a stack too, at the line of the user, in a category of its own."""
+    found = warned(BALL, [0, 10])
+    assert {one.category for one in found} == {LostLightWarning}
+    assert {one.filename for one in found} == {__file__}
+    texts = [str(one.message) for one in found]
+    assert sum("rays missed the specimen" in text for text in texts) == 1
+    assert sum("rays left sideways" in text for text in texts) == len(texts) - 1 <= 1
+
+
+@pytest.mark.usefixtures("mono")
+def test_twin_light_that_is_all_collected():
+    assert warned({"type": "diffuse"}, 30) == []
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        measure_whole(BALL, 0, **FEW)  # for what reports it in its own way
+
+
+def test_quiet_hides_no_warning(tmp_path, capsys):
+    """Neither those of the summary, nor twice without -q."""
+    scene = tmp_path / "ball.xml"
+    scene.write_text('<scene version="3.0.0"><shape type="sphere"/></scene>')
+    command = ["measure", str(scene), "--theta-i", "0", "--rays", "2000"]
+    command += ["--collector", "projected:2x2"]
+    assert main([*command, "-q"]) == 0
+    printed = capsys.readouterr()
+    assert printed.err.count("missed the specimen") == 1
+    assert printed.out == ""
+    assert main(command) == 0
+    printed = capsys.readouterr()
+    shown = " ".join((printed.out + printed.err).split())
+    assert shown.count("missed the specimen") == 1
+
+
+# --------------------------------------------------------------------- names and words
+
+
+@pytest.mark.parametrize(
+    ("word", "meant"),
+    [
+        ("thetai", "theta_i"),
+        ("n_rays", "rays"),
+        ("emiter", "emitter"),
+    ],
+)
+@pytest.mark.usefixtures("mono")
+def test_the_argument_that_was_meant(word, meant):
+    with pytest.raises(TypeError, match=rf"did you mean {meant}\?"):
+        gonio.measure({"type": "diffuse"}, **{word: 5})
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_bsdf_in_one_word_is_told_as_a_dictionary():
+    with pytest.raises(gonio.SpecimenError) as told:
+        gonio.measure("diffuse:reflectance=0.5", 0)
+    assert "{'type': 'diffuse', 'reflectance': 0.5}" in str(told.value)
+    with pytest.raises(gonio.SpecimenError) as told:
+        gonio.measure("scene.xml", 0)
+    assert "dictionary" not in str(told.value)
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_refractive_index_may_be_an_integer():
+    """Exact: the same light as of a float, and so nested, in scripts, for others."""
+    whole = {"type": "dielectric", "int_ior": 2, "ext_ior": 1}
+    real = {"type": "dielectric", "int_ior": 2.0, "ext_ior": 1.0}
+    nested = {"type": "mask", "bsdf": whole}
+    expected = gonio.measure(real, 60, **FEW).tallies
+    assert gonio.measure(whole, 60, **FEW).tallies == expected
+    assert gonio.measure(nested, 60, **FEW).ledger.absorbed == 0
+    asked = ["--theta-i", "60", "--rays", "2000"]
+    assert main(["measure", "dielectric:int_ior=2,ext_ior=1", *asked]) == 0
+    assert "2.0" in source_of(whole)
+    question = Question(whole, {}, mi.variant(), (), (), 0)
+    assert question.to_json()["specimen"] == real
+    with pytest.raises(gonio.SpecimenError, match="int_ior"):
+        gonio.measure({"type": "dielectric", "int_ior": True}, 60, **FEW)
+
+
+def test_version():
+    """That of the installed package."""
+    from importlib.metadata import version
+
+    assert gonio.__version__ == version("gonio-mi")
+    with pytest.raises(AttributeError, match="__verison__"):
+        gonio.__verison__  # noqa: B018
+
+
+# -------------------------------------------------------------------------- intervals
+
+
+@pytest.mark.usefixtures("mono")
+def test_no_limit_of_a_few_hits_is_negative():
+    """Of a total of one hit Student's t alone would reach far below 0."""
+    leaky = {"type": "mask", "opacity": 0.9995, "bsdf": {"type": "diffuse"}}
+    single = False
+    for seed in range(8):
+        record = gonio.measure(leaky, 0, rays=2048, seed=seed, sampler="independent")
+        hits = int(record.counts[1].sum())
+        single |= hits == 1
+        for quantity in ("dhr", "dht"):
+            low, high = record.interval(0.95, of=quantity)
+            assert np.all(low >= 0)
+            assert np.all(high > low)
+    assert single
+
+
+@pytest.mark.usefixtures("mono")
+def test_what_only_the_instrument_says_is_no_setting():
+    with pytest.raises(TypeError, match="measure has no setting 'whole'"):
+        gonio.measure({"type": "diffuse"}, 30, whole=True)

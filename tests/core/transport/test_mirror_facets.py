@@ -1,0 +1,271 @@
+"""The first order of mirror facets: a sum, and rays for what it leaves open."""
+
+import warnings
+
+import gonio_mi as gonio
+
+# isort: split
+import mitsuba as mi
+import numpy as np
+import pytest
+from budget import agree, difference_scores, disagree, often_enough, verdict
+from specimens import MIRROR, heightfield, with_faces
+
+from gonio_mi.collector.directions import direction
+from gonio_mi.instrument.launcher import Launcher
+from gonio_mi.instrument.setup import set_up
+from gonio_mi.materials.interpolation.lobes import MeasuredLobes
+from gonio_mi.mitsuba_names import triangles_of
+from gonio_mi.settings import MeasurementSettings
+from gonio_mi.transport.mirror_facets import MirrorFacets, has_mirror_facets
+from gonio_mi.transport.next_event import Deposits
+
+pytestmark = pytest.mark.usefixtures("mono")
+
+HOW = {"period": "box", "collector": "projected:8x12"}
+RAYS = 2**17
+
+
+def field(alpha, resolution=32, **settings):
+    return heightfield(alpha=alpha, resolution=resolution, **settings)
+
+
+def measured(shape, theta_i, estimator="next_event", **settings):
+    return gonio.measure(
+        shape, theta_i, **{"rays": RAYS, "estimator": estimator, **HOW, **settings}
+    )
+
+
+def plates(*places):
+    """Mesh of horizontal mirrors ``(x from, x to, z)``, all of the cell in y."""
+    corners = [[(a, -1, z), (b, -1, z), (b, 1, z), (a, 1, z)] for a, b, z in places]
+    first = 4 * np.arange(len(places))[:, None, None]
+    mesh = mi.Mesh("plates", 4 * len(places), 2 * len(places))
+    parameters = mi.traverse(mesh)
+    parameters["vertex_positions"] = np.ravel(corners).astype(np.float32)
+    triangles = first + np.array([[0, 1, 2], [0, 2, 3]])
+    parameters["faces"] = triangles.ravel().astype(np.uint32)
+    parameters.update()
+    mesh.set_bsdf(mi.load_dict(MIRROR))
+    return mesh
+
+
+def known(shape, theta_i=30.0, phi_i=0.0, **settings):
+    """First order of a specimen, None where it is not known."""
+    is_scene = isinstance(shape, dict) and shape["type"] == "scene"
+    scene = mi.load_dict(shape if is_scene else {"type": "scene", "shape": shape})
+    how = {"estimator": "next_event", **HOW, **settings}
+    (setup,) = set_up(scene, MeasurementSettings().changed(**how), [(theta_i, phi_i)])
+    return MirrorFacets(setup, mi.Color0f()) if has_mirror_facets(setup) else None
+
+
+def test_faint_slopes_send_what_facets_send():
+    """Rounding: where light meets the surface once, rays change nothing of the sum.
+
+    It is that of NumPy, in double precision: areas seen from the emitter, and the patch
+    of the mirror direction. Facets within single precision of a border are few: at most
+    one for each patch is left to either side. Twin: another direction's.
+    """
+    shape = mi.load_dict(field(0.05))
+    (tally,) = measured(shape, 40).tallies
+    shares = tally.sums[:, 0, ..., 0] / tally.incident[:, None]
+    rounding = 2 * np.finfo(np.float32).eps
+    assert np.ptp(shares, axis=0).max() <= rounding * shares.max()
+    points, faces = triangles_of(mi.traverse(shape))
+    a, b, c = (points[faces[:, i]].astype(float) for i in range(3))
+    normals = np.cross(b - a, c - a) / 2
+
+    def expected(theta_i):
+        wi = direction(np.radians(theta_i), 0.0)
+        units = normals / np.linalg.norm(normals, axis=1)[:, None]
+        wo = 2 * (units @ wi)[:, None] * units - wi
+        patches = gonio.EqualProjectedSolidAngle(8, 12)
+        share = normals @ wi / (4 * wi[2])
+        found = np.bincount(patches.patch(wo), share, patches.n_patches)
+        return found.reshape(patches.shape), share.max()
+
+    flux, one_facet = expected(40)
+    assert abs(shares[0] - flux).max() <= one_facet
+    assert abs(shares[0] - expected(41)[0]).max() > 10 * one_facet
+
+
+SPECIMENS = {
+    "closed": (lambda: field(0.5), 30, True),
+    "lit at an angle": (lambda: field(0.5), 75, False),
+    "from the back": (lambda: field(0.5), 30, True),
+}
+
+
+@pytest.mark.parametrize("name", SPECIMENS)
+def test_agrees_with_weighted(name, monkeypatch):
+    """All patches, of other rays; and whether lines enter one facet only.
+
+    Twin: facets in shadow are left in the sum, and never taken off; or patches are
+    taken for their neighbours.
+    """
+    make, theta_i, once = SPECIMENS[name]
+    shape = make()
+    shape = mi.load_dict(shape) if isinstance(shape, dict) else shape
+    side = "back" if name == "from the back" else "front"
+    first = known(shape, theta_i, side=side)
+    assert first.once == once
+    assert first.flux.sum() > 0.5
+    weighted = measured(shape, theta_i, "weighted", seed=2, side=side)
+    agree(verdict(difference_scores(weighted, measured(shape, theta_i, side=side))))
+    if once:
+        make_flux = MirrorFacets.__init__
+
+        def turned(self, *given):
+            make_flux(self, *given)
+            self.flux = np.roll(self.flux, 1, axis=0)
+
+        monkeypatch.setattr(MirrorFacets, "__init__", turned)
+    else:
+        monkeypatch.setattr(Deposits, "_take_below", lambda *_: None)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of created light
+        wrong = measured(shape, theta_i, side=side)
+    disagree(verdict(difference_scores(weighted, wrong)))
+
+
+def test_rays_are_those_of_weighted():
+    """Exact: the same ledger; all of a lossless field leaves, and its interval says."""
+    shape = mi.load_dict(field(0.5))
+    record, weighted = (measured(shape, 60, e) for e in ("next_event", "weighted"))
+    assert record.provenance.transport == "facets"
+    assert record.ledger == weighted.ledger
+    assert weighted.dhr == 1
+    low, high = record.interval(0.9999, of="dhr")
+    assert low < 1 < high
+    assert 0 < high - low < 0.02
+
+
+def test_the_error_falls():
+    """A third of that of `weighted` at most, of as many rays; measured: a tenth."""
+    shape = mi.load_dict(field(0.3, 64))
+    record, weighted = (measured(shape, 30, e) for e in ("next_event", "weighted"))
+    assert record.brdf_std_err.mean() < np.nanmean(weighted.brdf_std_err) / 3
+
+
+@pytest.mark.parametrize("rays", [500, 8000])
+def test_coverage(rays):
+    """Of patches and of the total, by a long run of `weighted`; twin: half as wide.
+
+    Of few rays, that by Student's t alone: few of them change a patch.
+    """
+    shape = mi.load_dict(field(0.5))
+    truth = measured(shape, 30, "weighted", rays=2**22, seed=99)
+    covered, halved, totals, students = [], [], [], []
+    for seed in range(40):
+        record = measured(shape, 30, rays=rays, seed=seed)
+        low, high = record.interval(0.95)
+        covered.append(((low <= truth.brdf) & (truth.brdf <= high)).mean())
+        off = abs(record.brdf - truth.brdf)
+        halved.append((off <= (high - low) / 4).mean())
+        (tally,) = record.tallies
+        scatter = (tally.sums[:, 0] / tally.incident[:, None, None]).std(0, ddof=1)
+        solid = record.subdivision.projected_solid_angles[..., None]
+        students.append((off <= 2.13 * scatter / 4 / solid).mean())
+        low, high = record.interval(0.95, of="dhr")
+        totals.append(bool(low <= 1 <= high))
+    agree(often_enough(covered))
+    agree(often_enough(totals))
+    disagree(often_enough(students if rays == 500 else halved))
+
+
+def test_negative_sums_are_told_as_no_light(tmp_path):
+    """Exact: in files too; their interval reaches above, and the total is of all."""
+    record = measured(
+        mi.load_dict(field(0.5)), 30, rays=256, collector="projected:20x20"
+    )
+    sums = record.tallies[0].sums.sum(axis=0)[0]
+    assert (sums < 0).any()
+    assert (record.brdf[sums < 0] == 0).all()
+    assert (record.brdf_std_err > 0).all()
+    low, high = record.interval(0.95)
+    assert (low >= 0).all()
+    assert (high > low).all()
+    assert not record.without_hit.any()
+    for name in ("map.exr", "run.npz"):
+        record.save(tmp_path / name)
+        again = gonio.load(tmp_path / name)
+        assert again == record
+        assert np.array_equal(again.interval(0.95), (low, high))
+    stack = measured(mi.load_dict(field(0.5)), [0, 30], rays=256)
+    assert (stack.flux_fraction < 0).any()
+    assert (MeasuredLobes(stack).whole().brdf >= 0).all()
+    gonio.export(stack, tmp_path / "lobes.json")  # whose reader refuses negative ones
+
+
+def test_where_it_is_not_known():
+    """Other specimens, beams and orders are measured as before."""
+    shape = mi.load_dict(field(0.3, 16, correlation_length=0.4))
+    rough = {"type": "twosided", "bsdf": {"type": "roughconductor"}}
+    assert known(shape) is not None
+    for other in (
+        {"period": "none"},
+        {"divergence": 1.0},
+        {"order": 2},
+        {"footprint": 0.1},
+        {"incident": "klems"},
+        {"estimator": "weighted"},
+    ):
+        assert known(shape, **other) is None, other
+    for bsdf in (rough, {"type": "dielectric"}, {"type": "mask", "bsdf": MIRROR}):
+        assert known(mi.load_dict(field(0.3, bsdf=bsdf))) is None
+    assert known(mi.load_dict(field(0.3, face_normals=False))) is None
+
+
+def test_other_meshes_than_heights():
+    """Of triangles that may coincide a line meets one, and a sum has both.
+
+    The plates have as much area as the cell: a gap as wide as what overlaps.
+    """
+    flat = field(0.3)
+    assert known(with_faces(flat, lambda faces: faces[:, [1, 2, 0]])) is not None
+    assert known(with_faces(flat, lambda faces: faces[:, ::-1])) is not None
+    for change in (
+        lambda faces: np.concatenate([faces, faces]),
+        lambda faces: np.concatenate([faces, faces[:9], faces[:9, ::-1]]),
+        lambda faces: faces[1:],
+        lambda faces: np.concatenate([faces[:9, ::-1], faces[9:]]),
+    ):
+        assert known(with_faces(flat, change)) is None
+    assert known(plates((-1, 0, 0), (-0.5, 0, -0.4), (0.5, 1, 0))) is None
+    bump = {"type": "cube", "to_world": mi.ScalarTransform4f().scale(0.1)}
+    bodies = {"type": "scene", "field": flat, "bump": {**bump, "bsdf": MIRROR}}
+    assert known(bodies) is None
+
+
+def test_colours_stacks_and_launches(rgb):  # noqa: ARG001
+    """Exact: a direction alone and in a stack; statistics: each channel has its own."""
+    gold = {"type": "twosided", "bsdf": {"type": "conductor", "material": "Au"}}
+    shape = mi.load_dict(field(0.5, bsdf=gold))
+    stack = measured(shape, [0, 10, 20, 30, 40, 50, 60, 70], rays=5000)
+    assert stack[7].tallies == measured(shape, 70, rays=5000).tallies
+    weighted = measured(shape, 70, "weighted", seed=1)
+    record = measured(shape, 70)
+    for channel in range(3):
+        agree(verdict(difference_scores(weighted, record, channel=channel)))
+    half = measured(shape, 70, rays=2**21 + 32)
+    assert half.ledger.emitted == 2**21 + 32
+    assert np.allclose(half.dhr, record.dhr, rtol=0.02)
+
+
+def test_facets_are_found_once_in_all_rounds(monkeypatch):
+    """Exact; a measurement of a precision takes several rounds."""
+    calls = {"rounds": 0, "tables": 0}
+
+    def counted(kind, name, what):
+        plain = getattr(kind, name)
+
+        def count(*given):
+            calls[what] += 1
+            return plain(*given)
+
+        monkeypatch.setattr(kind, name, count)
+
+    counted(Launcher, "tallies", "rounds")
+    counted(MirrorFacets, "__init__", "tables")
+    measured(mi.load_dict(field(0.5)), 30, rays=None, noise=4e-4)
+    assert calls["rounds"] > calls["tables"] == 1

@@ -1,0 +1,442 @@
+"""Estimator `next_event`: `eval` is deposited from geometry towards patches."""
+
+from functools import cache
+
+import gonio_mi as gonio
+
+# isort: split
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from benchmark import groove
+from budget import (
+    Verdict,
+    agree,
+    difference_scores,
+    disagree,
+    normal_scores,
+    often_enough,
+    scores,
+    verdict,
+)
+from scipy import stats
+from specimens import MIRROR, as_it_is, grooves, heightfield, specimen_of
+
+from gonio_mi.analysis import charts as charting
+from gonio_mi.collector.directions import direction
+from gonio_mi.errors import SpecimenError
+from gonio_mi.instrument.loading import load_specimen
+from gonio_mi.results.statistics import batch_std_err
+from gonio_mi.settings.measurement_settings import PILOT_RAYS
+from gonio_mi.transport.rays import escapes
+from gonio_mi.transport.specimen import Specimen
+
+pytestmark = pytest.mark.usefixtures("mono")
+
+GRID = "projected:8x12"
+RAYS = 2**17
+
+
+def both_sided(bsdf):
+    return {"type": "twosided", "bsdf": bsdf}
+
+
+GREY = both_sided({"type": "diffuse", "reflectance": 0.8})
+ROUGH_MIRROR = both_sided({"type": "roughconductor", "alpha": 0.3})
+GLOSSY = both_sided({"type": "roughconductor", "alpha": 0.1, "distribution": "ggx"})
+SHELL = {"type": "mask", "opacity": 0.6, "bsdf": GREY}
+
+
+def field(bsdf, **settings):
+    return heightfield(bsdf=bsdf, alpha=0.5, resolution=32, **settings)
+
+
+def packed_spheres():
+    """Spheres of which a plane hides the lower halves, in cells of 2 x 2."""
+    down = mi.ScalarTransform4f().translate([0, 0, -1])
+    return {
+        "type": "scene",
+        "sphere": {"type": "sphere", "center": [0, 0, -1], "bsdf": GREY},
+        "plane": {"type": "rectangle", "to_world": down, "bsdf": GREY},
+    }
+
+
+# Specimen, and settings of the measurement.
+CASES = {
+    "glossy grooves": lambda: (grooves(30, 1, bsdf=GLOSSY), {"period": "box"}),
+    "rough mirror": lambda: (field(ROUGH_MIRROR), {"period": "box"}),
+    "grooves": lambda: (grooves(30, 1, bsdf=GREY), {"period": "box"}),
+    "spheres": lambda: (packed_spheres(), {"period": "2,2"}),
+    "edges": lambda: (field(GREY), {"theta_i": 70}),
+    "smooth normals": lambda: (
+        field(GREY, face_normals=False),
+        {"period": "box", "theta_i": 60},
+    ),
+    "delta and smooth": lambda: (
+        field(both_sided({"type": "plastic", "diffuse_reflectance": 0.8})),
+        {"period": "box"},
+    ),
+    "rough glass": lambda: (
+        field({"type": "roughdielectric", "alpha": 0.5}),
+        {"period": "box", "collector": "projected:4x6"},
+    ),
+    "shell": lambda: (field(SHELL), {"period": "box", "collector": "projected:4x6"}),
+    "second order": lambda: (field(GREY), {"period": "box", "order": 2}),
+    "near collector, back": lambda: (
+        field({"type": "roughdielectric", "alpha": 0.5}),
+        {"collector_radius": 2.0, "side": "back", "collector": "projected:4x6"},
+    ),
+    "apertures": lambda: (
+        field(GREY),
+        {"period": "box", "collector": "apertures:10@30/180,60/90,0/0"},
+    ),
+    "klems": lambda: (field(GREY), {"period": "box", "collector": "klems"}),
+}
+
+
+def measured(name, estimator, **settings):
+    specimen, own = CASES[name]()
+    settings = {"theta_i": 30, "collector": GRID, "rays": RAYS, **own, **settings}
+    return gonio.measure(specimen, estimator=estimator, **settings)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_deposits_are_unbiased(name):
+    """All patches of both hemispheres against `weighted`; twin: 10 % off."""
+    deposited = measured(name, "next_event", seed=1, points=2)
+    weighted = measured(name, "weighted", seed=2)
+    assert deposited.ledger.emitted == RAYS
+    for hemisphere in (0, 1):
+        z = difference_scores(weighted, deposited, hemisphere)
+        if not z.size:
+            assert not deposited.counts[hemisphere].any()
+            continue
+        agree(verdict(z))
+    shares = weighted.flux_fraction[0, ..., 0]
+    disagree(verdict(scores(deposited, 1.1 * shares)))
+
+
+def test_a_lower_hemisphere_that_seems_dark(monkeypatch):
+    """Exact: through gaps it does not; and where that is wrong, there is no bias.
+
+    Twin: nearly a third off, since few points went there.
+    """
+    for name, dark in (("grooves", True), ("spheres", True), ("rough glass", False)):
+        shape, settings = CASES[name]()
+        shapes = dict(shape)
+        if shape["type"] == "scene":
+            del shapes["type"]
+        assert specimen_of(shapes, settings["period"]).seems_dark == dark
+    ball = packed_spheres()["sphere"]
+    assert not specimen_of(ball, "box").seems_dark
+    monkeypatch.setattr(Specimen, "seems_dark", True)
+    deposited = measured("rough glass", "next_event", seed=1, points=4)
+    weighted = measured("rough glass", "weighted", seed=2)
+    for hemisphere in (0, 1):
+        agree(verdict(difference_scores(weighted, deposited, hemisphere)))
+    lower = 1.3 * weighted.flux_fraction[1, ..., 0]
+    disagree(verdict(scores(deposited, lower, hemisphere=1)))
+
+
+def test_lambertian_plane():
+    """Each deposit is cos / pi per solid angle: the patches' mean is 1 / pi."""
+    plane = {"type": "diffuse", "reflectance": 1.0}
+    for sampler in ("sobol", "independent"):
+        record = gonio.measure(
+            plane,
+            45,
+            estimator="next_event",
+            sampler=sampler,
+            trace=True,
+            collector="angle:6x8",
+            rays=RAYS,
+        )
+        truth = record.subdivision.projected_solid_angles / np.pi
+        agree(verdict(scores(record, truth)))
+        disagree(verdict(scores(record, 1.03 * truth)))
+        assert record.ledger.reflected + record.ledger.rejected == RAYS
+
+
+def test_delta_specimens_are_those_of_weighted():
+    """Exact: after delta components rays are counted, from the same numbers.
+
+    Mirror facets in light that diverges: else their first order is known.
+    """
+    glass = {"type": "dielectric"}
+    for bsdf in (MIRROR, glass):
+        a, b = (
+            gonio.measure(
+                field(bsdf),
+                50,
+                period="box",
+                divergence=1.0,
+                estimator=estimator,
+                rays=50_000,
+            )
+            for estimator in ("weighted", "next_event")
+        )
+        assert a.tallies == b.tallies
+        assert a.counts.sum() == 50_000
+
+
+def below(specimen, theta_i, **settings):
+    """Deposits in the lower hemisphere, where a closed opaque surface sends none."""
+    record = gonio.measure(
+        specimen,
+        theta_i,
+        estimator="next_event",
+        hemispheres="both",
+        collector="projected:4x6",
+        rays=2**18,
+        points=4,
+        **settings,
+    )
+    assert record.counts[0].any()
+    return record.counts[1].sum()
+
+
+@pytest.mark.parametrize("theta_i", [30, 89.9])
+@pytest.mark.parametrize(
+    "name", ["rough mirror", "grooves", "spheres", "smooth normals"]
+)
+def test_nothing_is_deposited_below_a_closed_surface(name, theta_i):
+    specimen, settings = CASES[name]()
+    period = settings["period"]
+    assert below(specimen, theta_i, period=period) == 0
+
+
+def test_twin_of_a_closed_surface():
+    """Light passes between balls, and deposits say so."""
+    assert below(packed_spheres()["sphere"], 30, period="box") > 0
+
+
+@pytest.mark.parametrize("mended", [True, False])
+def test_light_that_starts_beside_the_cell(mended, monkeypatch):
+    """Exact: off a wall at its side it goes inside; twin: taken as it is, it escapes.
+
+    Rays that start up to 1e-5 beyond the side y = 1, between two balls, and go down to
+    the plane between them, which ends there.
+    """
+    specimen = specimen_of(
+        {k: v for k, v in packed_spheres().items() if k != "type"}, "2,2"
+    )
+    rng = np.random.default_rng(0)
+    n = 1000
+    start = np.stack(
+        [
+            rng.uniform(-0.1, 0.1, n),
+            1 + rng.uniform(1e-6, 1e-5, n),
+            rng.uniform(-0.99, -0.9, n),
+        ]
+    )
+    ray = mi.Ray3f(mi.Point3f(start), dr.normalize(mi.Vector3f(0.1, -1e-4, -1)))
+    if not mended:
+        monkeypatch.setattr("gonio_mi.transport.rays.into_cell", as_it_is)
+    free = escapes(specimen, 1, ray, mi.Normal3f(0), mi.Float(0), mi.Bool(True))
+    assert np.array(free).any() != mended
+
+
+def test_ledger_counts_rays_and_patches_count_deposits():
+    """Exact: rows add up to the rays; each deposits at most once per point and exit."""
+    record = measured("edges", "next_event", points=3)
+    ledger = record.ledger
+    assert ledger.emitted == RAYS
+    assert min(ledger.reflected, ledger.missed, ledger.sideways) > 0
+    assert ledger.transmitted == ledger.absorbed == 0
+    first = measured("edges", "next_event", points=3, order=1)
+    assert ledger.reflected < first.counts.sum() <= 4 * (RAYS - ledger.missed)
+    assert first.counts.sum() < record.counts.sum()
+
+
+@pytest.mark.parametrize("estimator", ["weighted", "next_event"])
+def test_orders_add_up(estimator):
+    """Rounding: with one seed, what orders receive adds up to the whole.
+
+    Each sum is exact before it is rounded, and three are added and compared.
+    """
+    total, *parts = (
+        measured("rough mirror", estimator, order=order, rays=20_000)
+        for order in ("all", 1, "2+")
+    )
+    (sums,) = (tally.sums for tally in total.tallies)
+    added = sum(part.tallies[0].sums for part in parts)
+    np.testing.assert_allclose(added, sums, rtol=4 * np.finfo(float).eps, atol=0)
+    assert all(part.ledger.emitted == 20_000 for part in parts)
+
+
+def test_few_deposits_have_an_interval_by_students_t():
+    """Exact: however few, as wide as the batches say; none where there is none."""
+    record = measured("rough mirror", "next_event", rays=128, batches=8)
+    few = (record.counts[0] > 0) & (record.counts[0] < 10)
+    assert few.any()
+    low, high = record.interval(0.95)
+    half = (high - low)[few, 0] / 2
+    tally, solid = record.tallies[0], record.subdivision.projected_solid_angles
+    own = batch_std_err(tally.sums[:, 0], tally.incident[:, None, None])[..., 0] / solid
+    assert (half >= 2.36 * own[few]).all()
+    empty = record.without_hit[0]
+    assert empty.any()
+    assert (low[empty] == 0).all()
+    assert (high[empty] > 0).all()
+
+
+def test_channels(rgb):  # noqa: ARG001
+    """Each channel carries its own colour."""
+    colour = {"type": "rgb", "value": [0.1, 0.5, 0.9]}
+    paint = both_sided({"type": "diffuse", "reflectance": colour})
+    records = [
+        gonio.measure(
+            field(paint),
+            30,
+            period="box",
+            order=1,
+            estimator=estimator,
+            rays=RAYS,
+            collector="projected:3x4",
+            seed=seed,
+        )
+        for seed, estimator in enumerate(("weighted", "next_event"))
+    ]
+    for channel in range(3):
+        agree(verdict(difference_scores(*records, channel=channel)))
+    disagree(verdict(scores(records[1], records[0].flux_fraction[0, ..., 1])))
+
+
+def test_an_invalid_eval_is_in_the_ledger():
+    """A NaN reaches no patch; rows still add up."""
+
+    class Broken(mi.BSDF):
+        def __init__(self, props):
+            super().__init__(props)
+            self.m_flags = int(mi.BSDFFlags.DiffuseReflection)
+            self.m_flags |= int(mi.BSDFFlags.FrontSide)
+            self.m_components = [self.m_flags]
+
+        def sample(self, ctx, si, sample1, sample2, active=True):  # noqa: ARG002
+            bs = mi.BSDFSample3f()
+            bs.wo = mi.warp.square_to_cosine_hemisphere(sample2)
+            bs.pdf = mi.warp.square_to_cosine_hemisphere_pdf(bs.wo)
+            bs.sampled_type = mi.UInt32(int(mi.BSDFFlags.DiffuseReflection))
+            bs.sampled_component, bs.eta = mi.UInt32(0), mi.Float(1)
+            return bs, mi.Spectrum(1.0)
+
+        def eval(self, ctx, si, wo, active=True):  # noqa: ARG002
+            return mi.Spectrum(float("nan"))
+
+        def pdf(self, ctx, si, wo, active=True):  # noqa: ARG002
+            return mi.warp.square_to_cosine_hemisphere_pdf(wo)
+
+        def to_string(self):
+            return "Broken[]"
+
+    mi.register_bsdf("nan_eval", Broken)
+    with pytest.warns(RuntimeWarning, match=r"sample\(\) or eval\(\) returned"):
+        record = gonio.measure(
+            {"type": "nan_eval"}, 30, estimator="next_event", trace=True, rays=1000
+        )
+    assert record.ledger.invalid == record.ledger.emitted == 1000
+    assert not record.counts.any()
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"estimator": "next_event"}, "needs geometry, got a flat rectangle"),
+        ({"points": 0}, "points must be"),
+        ({"points": 10**6}, "points must be"),
+    ],
+)
+def test_bad_settings_are_one_sentence(settings, message):
+    with pytest.raises((SpecimenError, ValueError), match=message) as caught:
+        gonio.measure({"type": "diffuse"}, 30, rays=1000, **settings)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_chart_compares_it_on_geometry_only():
+    names = ["weighted", "next_event"]
+    settings = {
+        "estimators": names,
+        "samplers": ["sobol"],
+        "seconds": 0.01,
+        "repeats": 2,
+    }
+    chart = charting.chart(field(GREY), 30, period="box", collector=GRID, **settings)
+    assert [curve.estimator for curve in chart.curves] == names
+    flat = charting.chart({"type": "diffuse"}, 30, collector=GRID, **settings)
+    assert [curve.estimator for curve in flat.curves] == ["weighted"]
+
+
+# ----------------------------------------------------------- many points for each event
+
+
+@cache
+def diffuse_grooves():
+    """Cell of endless grooves of 90 degrees, whose BRDF is known, and its patches'."""
+    wall = both_sided({"type": "diffuse", "reflectance": groove.REFLECTANCE})
+    patches = gonio.EqualProjectedSolidAngle(8, 12)
+    fine, coarse = (
+        groove.patch_means(direction(np.radians([45.0]), np.zeros(1)), points)
+        for points in (patches.points(24), patches.points(16))
+    )
+    # far below what the tests can see
+    assert np.abs(fine - coarse).max() < 1e-3 * fine.mean()
+    return grooves(45, 1, bsdf=wall), fine.reshape(patches.shape)
+
+
+def many_points(rays, points, loaded=None, **settings):
+    specimen, truth = diffuse_grooves()
+    record = gonio.measure(
+        loaded or specimen,
+        45,
+        period="box",
+        collector=GRID,
+        estimator="next_event",
+        rays=rays,
+        points=points,
+        **settings,
+    )
+    return record, truth
+
+
+def together(record, truth):
+    """Verdict on patches that share their rays: their sum, and the worst of them."""
+    omega = record.subdivision.projected_solid_angles
+    degrees = record.n_batches - 1
+    total = (record.dhr[0] - (truth * omega).sum()) / record.dhr_std_err[0]
+    z = (record.brdf - truth[..., None]) / record.brdf_std_err
+    total, z = normal_scores(total, degrees), normal_scores(z, degrees)
+    # of any patches, however alike, one is so bad at most as often as all together
+    worst = z.size * 2 * stats.norm.sf(np.abs(z).max())
+    p = {"total": float(2 * stats.norm.sf(abs(total))), "worst": min(1.0, worst)}
+    return Verdict(p, z.size)
+
+
+@pytest.mark.parametrize(
+    ("points", "sampler"),
+    [(7, "sobol"), (96, "sobol"), (200, "sobol"), (96, "independent")],
+)
+def test_many_points_against_radiosity(points, sampler):
+    """A few rays that light many patches each; twin: 5 % off."""
+    record, truth = many_points(2**20 // points, points, sampler=sampler)
+    agree(together(record, truth))
+    disagree(together(record, 1.05 * truth))
+
+
+def test_many_points_cover():
+    """The intervals of few rays, each of which lights all patches."""
+    loaded, parts, twins = load_specimen(diffuse_grooves()[0]), [], []
+    for seed in range(40):
+        record, truth = many_points(2**10, 96, loaded, seed=seed)
+        low, high = (limit[..., 0] for limit in record.interval(0.95))
+        parts.append(((low <= truth) & (truth <= high)).mean())
+        near = np.abs((low + high) / 2 - truth) <= (high - low) / 4
+        twins.append(near.mean())
+    agree(often_enough(parts))
+    disagree(often_enough(twins))
+
+
+def test_many_points_begin_with_few_rays():
+    """Exact: the first look at the precision is at as many points as rays otherwise."""
+    record, _ = many_points(None, 96, rel_err=0.9)
+    assert record.ledger.emitted == 16 * (PILOT_RAYS // (16 * 96))

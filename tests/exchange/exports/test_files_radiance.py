@@ -1,0 +1,418 @@
+"""Radiance's files: read by Radiance itself, and by us when they are hostile."""
+
+import io
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import synthetic
+
+from gonio_mi.collector.directions import direction
+from gonio_mi.collector.klems import Klems
+from gonio_mi.collector.shirley_chiu import directions_of, square_of
+from gonio_mi.errors import FileFormatError
+from gonio_mi.exchange.exports import exporting, radiance_export
+from gonio_mi.exchange.exports.radiance_export import matrices, trees
+from gonio_mi.exchange.formats import radiance, tensor_tree
+from gonio_mi.exchange.formats.radiance import XYZ, RadianceBSDF
+from gonio_mi.exchange.formats.tensor_tree import TensorTree
+
+# Most records here are of one side, with lobes that are not reciprocal: files say so.
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:the file describes light from"),
+    pytest.mark.filterwarnings("ignore:the (front|back) is not reciprocal"),
+]
+
+EPS = float(np.finfo(np.float32).eps)
+
+# Radiance perturbs its values by up to this, on purpose.
+RADIANCE_NOISE = 3e-4
+
+# By which Radiance multiplies XYZ.
+LUMENS = 179.0
+
+# Our trees have six digits.
+DIGITS = 5e-6
+
+
+@pytest.fixture
+def coarse(monkeypatch):
+    """Small files: average over fewer points of each Klems patch, in larger cells."""
+    monkeypatch.setattr(radiance_export, "POINTS_OUT", 2)
+    monkeypatch.setattr(radiance_export, "POINTS_IN", 1)
+    monkeypatch.setattr(radiance_export, "TREE_SIZES", {3: 16, 4: 8})
+
+
+@pytest.fixture
+def glossy():
+    return synthetic.record(
+        "projected:8x16", theta_i=(0, 30, 60), phi_i=(0, 0, 0), power=6, both=True
+    )
+
+
+# --------------------------------------------------------------------- what is written
+
+
+@pytest.mark.usefixtures("mono", "coarse")
+def test_a_lambertian_is_one_value():
+    """Of Klems patches, and of the cells of trees, which become one."""
+    for basis, rank in (("klems", None), ("klems-quarter", None), ("tensor3", 3)):
+        side = radiance_export.Side(synthetic.lambertian(), basis)
+        block = side.blocks()["Visible", "Reflection Back"]
+        if rank is None:
+            assert (np.abs(block - 0.5 / np.pi) <= 64 * EPS).all()
+            continue
+        tree = block
+        assert tree.root.shape == (1,) * rank
+        assert abs(tree.root.item() - 0.5 / np.pi) <= 64 * EPS
+
+
+@pytest.mark.usefixtures("mono")
+def test_finer_trees_lose_less(tmp_path, glossy, monkeypatch):
+    """First order: cells that do not fit the record's patches."""
+    lost = []
+    for size in (16, 32):
+        monkeypatch.setattr(radiance_export, "TREE_SIZES", {3: size})
+        losses = exporting.export(glossy, tmp_path / "a.xml", "tensor3")
+        lost.append(np.mean([loss.misplaced for loss in losses]))
+    assert lost[0] > 1.5 * lost[1]
+
+
+@pytest.mark.usefixtures("rgb", "coarse")
+@pytest.mark.parametrize(
+    ("phi_i", "channels", "message"),
+    [
+        ((0, 120, 240), ("Y",), "has 3 azimuths of incidence: take tensor4"),
+        ((0, 0, 0), ("R", "G", "B"), "loses the colours"),
+        ((0, 0, 0), ("400nm", "500nm"), "95% of visible light"),
+        ((0, 0, 0), ("a", "b"), "one channel, of R, G, B or of wavelengths"),
+    ],
+)
+def test_trees_of_rank_3_are_isotropic_and_grey(tmp_path, phi_i, channels, message):
+    theta_i = (0, 30, 60) if len(set(phi_i)) == 1 else (30, 30, 30)
+    record = synthetic.record(theta_i=theta_i, phi_i=phi_i, channels=channels)
+    with pytest.raises(ValueError, match=message):
+        exporting.export(record, tmp_path / "run.xml", "tensor3")
+
+
+def test_squares_of_disks():
+    """Both ways, and equal areas: of radius r there is the part r^2."""
+    square = np.random.default_rng(2).random((10_000, 2))
+    v = directions_of(square)
+    rounding = 16 * np.finfo(float).eps
+    assert (np.abs(square_of(v[:, 0], v[:, 1]) - square) <= rounding).all()
+    # the part of the square around its middle of sides r
+    side = 2 * np.abs(square - 0.5).max(axis=1)
+    assert (np.abs(np.hypot(v[:, 0], v[:, 1]) - side) <= rounding).all()
+    # its eight triangles have equal areas, and so have the octants of the disk
+    turn = np.degrees(np.arctan2(v[:, 1], v[:, 0])) % 360
+    a, b = (2 * square - 1).T
+    triangle = np.degrees(np.arctan2(b, a)) % 360 // 45
+    assert (turn // 45 == triangle).all()
+    assert directions_of([0.5, 0.5]).tolist() == [0, 0, 1]
+
+
+def test_trees_are_their_grids():
+    """Exactly without merging, else within the spread that is allowed."""
+    rng = np.random.default_rng(3)
+    for shape in ((8,) * 3, (8,) * 4):
+        values = 1 + rng.random(shape)
+        values[: len(values) // 2] = 1 + 0.01 * rng.random(values[0].shape)
+        points = rng.random((5000, len(shape)))
+        truth = values[tuple((points * shape).astype(int).T)]
+        exact, merged = TensorTree.of(values, flat=0), TensorTree.of(values, flat=0.5)
+        assert np.array_equal(exact.at(points), truth)
+        assert (np.abs(merged.at(points) - truth) <= 0.5 * truth.max()).all()
+        assert len(merged.text()) < len(exact.text())
+        again = TensorTree.parsed(exact.text(), len(shape)).at(points)
+        assert (np.abs(again - truth) <= DIGITS * truth).all()
+
+
+# ------------------------------------------------------------------ read by Radiance
+
+
+def rtrace(folder, filename, wi, wo):
+    """BSDF that Radiance's renderer sees on a lit plate, as XYZ, shape ``(n, 3)``.
+
+    Parameters
+    ----------
+    filename : str
+        In the folder.
+    wi : ndarray, shape (3,)
+        To the emitter.
+    wo : ndarray, shape (n, 3)
+        To the eye.
+    """
+    programs = Path(pytest.importorskip("pyradiance").__file__).parent / "bin"
+    size, radiance = 0.02, 1e6
+    to_emitter = " ".join(f"{x:.9g}" for x in [*wi, size])
+    scene = f"""
+void light glow 0 0 3 {radiance} {radiance} {radiance}
+glow source emitter 0 0 4 {to_emitter}
+void BSDF material 6 0 ./{filename} 0 1 0 . 0 0
+material polygon plate 0 0 12 -1 -1 0 1 -1 0 1 1 0 -1 1 0
+"""
+    eyes = "\n".join(" ".join(f"{x:.9g}" for x in [*v, *-v]) for v in wo)
+
+    def run(program, *options, data):
+        command = [programs / program, *options]
+        ran = subprocess.run(
+            command, input=data.encode(), capture_output=True, cwd=folder, check=True
+        )
+        return ran.stdout
+
+    (folder / "octree").write_bytes(run("oconv", "-", data=scene))
+    options = ["-h", "-pXYZ", "-ab", "0", "-dj", "0", "-ss", "0", "octree"]
+    seen = np.array(run("rtrace", *options, data=eyes).split(), float)
+    solid_angle = 4 * np.pi * np.sin(np.radians(size / 2) / 2) ** 2
+    return seen.reshape(-1, 3) / (radiance * solid_angle * np.abs(wi[2]) * LUMENS)
+
+
+@pytest.mark.parametrize("side", ["front", "back"])
+@pytest.mark.parametrize("basis", radiance.BASES)
+@pytest.mark.usefixtures("rgb", "coarse")
+def test_radiance_renders_what_was_written(tmp_path, glossy, basis, side):
+    """100 eyes around a lit plate.
+
+    For reflection Radiance takes the eye for an emitter.
+    """
+    if basis == "tensor4":
+        glossy = synthetic.record(
+            theta_i=(20, 60), phi_i=(0, 0), power=6, both=True, channels=("R", "G", "B")
+        )
+    glossy = glossy.with_settings(side=side)
+    exporting.export(glossy, tmp_path / "plate.xml", basis)
+    with open(tmp_path / "plate.xml", "rb") as stream:
+        own = RadianceBSDF(stream)
+    rng = np.random.default_rng(5)
+    theta_i, phi_i = 40.0, 75.0
+    wi = direction(*np.radians([theta_i, phi_i]))
+    theta_o = np.degrees(np.arcsin(np.sqrt(0.95 * rng.random(100))))
+    phi_o = 360 * rng.random(100)
+    wo = direction(np.radians(theta_o), np.radians(phi_o))
+    up = 1 if side == "front" else -1
+    signs = [1, 1, up]
+    for hemisphere in (0, 1):
+        if hemisphere:
+            values = own.values(side, 1, theta_i, phi_i, wo)
+        else:
+            values = own.values(side, 0, theta_o, phi_o, np.tile(wi, (100, 1)))
+        seen = rtrace(
+            tmp_path,
+            "plate.xml",
+            wi * signs,
+            wo * signs * [[1, 1, 1], [1, 1, -1]][hemisphere],
+        )
+        colours = basis == "tensor4"
+        expected = values @ XYZ.T if colours else values.repeat(3, axis=1)
+        # of the radiance, and of the direct light that it comes from
+        assert (np.abs(seen - expected) <= 2 * RADIANCE_NOISE * expected).all()
+
+
+@pytest.mark.usefixtures("mono", "coarse")
+def test_twin_radiance_would_notice_a_turned_emitter(tmp_path, glossy):
+    exporting.export(glossy, tmp_path / "plate.xml", "tensor3")
+    with open(tmp_path / "plate.xml", "rb") as stream:
+        own = RadianceBSDF(stream)
+    wi, wo = direction(0.7, 1.3), direction(0.5, 4.0)
+    (seen,) = rtrace(tmp_path, "plate.xml", wi, wo[None])
+    for turned in (0, 90):
+        angles = np.degrees(0.5), np.degrees(4.0) + turned
+        expected = own.values("front", 0, *angles, wi[None]).item()
+        agrees = abs(seen[1] - expected) <= 2 * RADIANCE_NOISE * expected
+        assert agrees == (turned == 0)
+
+
+def radiance_totals(path, angles):
+    """Radiance's directional-hemispherical totals, each at theta and phi in degrees.
+
+    In a process of its own: Radiance's reader crashes at the second file of a process.
+    """
+    pytest.importorskip("pyradiance")
+    script = """
+import json, sys
+from pyradiance import bsdf
+theirs = bsdf.load_file(sys.argv[1])
+angles = json.loads(sys.argv[2])
+print(json.dumps([bsdf.direct_hemi(theirs, *one, bsdf.SAMPLE_ALL) for one in angles]))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script, str(path), json.dumps(angles)],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return json.loads(done.stdout)
+
+
+@pytest.mark.parametrize("basis", ["klems", "tensor3"])
+@pytest.mark.usefixtures("mono", "coarse")
+def test_what_is_not_reciprocal_is_told_with_its_figure(tmp_path, basis):
+    """An albedo of 0.2 + 0.6 sin(theta_i): closed forms, and Radiance's own total.
+
+    Sines of directions that are even in projected solid angle have the density 2 s: the
+    light of pairs of rings of the coarsest Klems patches, with their mean albedos.
+    """
+    theta_i = np.array([0, 30, 60, 89.999])
+    albedo = 0.2 + 0.6 * np.sin(np.radians(theta_i))
+    share = synthetic.lambertian(reflectance=1.0).flux_fraction[0, 0, ..., 0]
+    weights = albedo[:, None, None, None] * share
+    record = synthetic.exact(weights, theta_i, "projected:9x16")
+    path = tmp_path / "dim.xml"
+    with pytest.warns(RuntimeWarning, match="is not reciprocal") as told:
+        exporting.export(record, path, basis)
+    (text,) = [str(one.message) for one in told if "reciprocal" in str(one.message)]
+    edges = np.sin(np.radians(Klems("quarter").theta_deg))
+    parts = np.diff(edges**2)
+    rings = 0.2 + 0.6 * np.diff(edges**3) * 2 / 3 / parts
+    pairs = np.abs(rings[:, None] - rings) * parts[:, None] * parts
+    share = float(re.findall("shows (.*)% of the reflected flux", text)[0]) / 100
+    # whole per cents; patches of 15 degrees, and cells, round the rings
+    assert abs(share - pairs.sum() / 2 / 0.6) < 0.005 + 0.015
+    shown, true, theta = map(
+        float, re.findall("sky (.*) for (.*) as seen from theta (.*), phi", text)[0]
+    )
+    assert abs(true - 0.6) < 0.01  # the same roundings
+    assert theta == 0  # of the middle of a patch
+    x, y, z = Klems("quarter").points(3)[0].T
+    angles = np.degrees([np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)]).T
+    seen = radiance_totals(path, angles.tolist())
+    assert abs(shown - np.mean(seen)) < 5e-4 + 2 * RADIANCE_NOISE  # three digits
+    assert abs(shown - true) > 0.3
+    assert "lit from the front, the face to +z: Reflection Back" in path.read_text()
+
+
+@pytest.mark.usefixtures("mono", "coarse")
+def test_twin_what_is_reciprocal_is_not_told_of(tmp_path, recwarn):
+    for number, basis in enumerate(("klems-quarter", "tensor3", "tensor4")):
+        exporting.export(synthetic.lambertian(), tmp_path / f"{number}.xml", basis)
+    assert not [one for one in recwarn if "reciprocal" in str(one.message)]
+
+
+@pytest.mark.usefixtures("mono", "coarse")
+def test_klems_light_is_all_there(tmp_path, glossy):
+    exporting.export(glossy, tmp_path / "sum.xml")
+    with open(tmp_path / "sum.xml", "rb") as stream:
+        blocks = radiance.read(stream)
+    column = radiance.incident_patch(30, 40)
+    projected = Klems().projected_solid_angles
+    flux = sum((block * projected)[:, column].sum() for block in blocks.values())
+    (total,) = radiance_totals(tmp_path / "sum.xml", [(30.0, 40.0)])
+    assert abs(total - flux) <= 2 * RADIANCE_NOISE * flux
+
+
+# ------------------------------------------------------------------------ read by us
+
+
+@pytest.mark.parametrize("kind", ["klems", "tensor3", "tensor4"])
+def test_colours_come_back(kind):
+    """Of values that are whole in the file; matrices have seven digits, trees six."""
+    rng = np.random.default_rng(6)
+    shape = {"klems": (145, 145), "tensor3": (4,) * 3, "tensor4": (4,) * 4}[kind]
+    values = 0.1 + rng.random((*shape, 3))
+    name = "Transmission Front"
+    make = matrices if kind == "klems" else trees
+    stream = io.BytesIO()
+    radiance.write(make(values, name), stream)
+    stream.seek(0)
+    own = RadianceBSDF(stream)
+    assert own.channels == ("R", "G", "B")
+    assert own.holds("back", 1)
+    assert not own.holds("front", 1)
+    assert not own.holds("back", 0)
+    v = direction(*rng.uniform(0, 1.57, (2, 500)))
+    theta_i, phi_i = rng.uniform(0, 89, 500), rng.uniform(0, 360, 500)
+    seen = own.values("back", 1, theta_i, phi_i, v)
+    if kind == "klems":
+        index = Klems().patch(v), radiance.incident_patch(theta_i, phi_i)
+    else:
+        points = tensor_tree.coordinates(len(shape), theta_i, phi_i, v)
+        index = tuple((points * 4).astype(int).T)
+    # rounding of three components times the condition of the matrix to RGB, 4.3
+    assert (np.abs(seen - values[index]) <= 20 * DIGITS * values.max()).all()
+
+
+def test_radiance_matrices_come_back():
+    rng = np.random.default_rng(4)
+    blocks = {
+        (wavelength, direction): rng.random((145, 145))
+        for wavelength in radiance.DETECTORS
+        for direction in radiance.DIRECTIONS.values()
+    }
+    stream = io.BytesIO()
+    radiance.write(blocks, stream, radiance.Product("<a & b>"))
+    again = radiance.read(io.BytesIO(stream.getvalue()))
+    assert again.keys() == blocks.keys()
+    for key, matrix in blocks.items():
+        assert (np.abs(again[key] - matrix) <= 1e-6 * matrix).all()  # seven digits
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (b"<?xml", b"<?xml oops", "not XML"),
+        (b"</WindowElement>", b"", "not XML"),
+        (b"<WindowElement ", b'<!DOCTYPE x [<!ENTITY a "b">]><WindowElement ', "DTD"),
+        (b"WindowElement", b"Elsewhere", "no WindowElement"),
+        (b"Columns", b"TensorTree2", "must be Columns, Rows, TensorTree3, TensorTree4"),
+        (b"LBNL/Klems Full<", b"LBNL/Klems Half<", "must hold 5929 values"),
+        (b"<RowAngleBasis>LBNL/Klems Full<", b"<RowAngleBasis>x<", "must be one of"),
+        (b"0.25 ", b"", "must hold 21025 values, got"),
+        (b"0.25 ", b"nan ", "not finite"),
+        (b"0.25 ", b"x ", "must be a number, got"),
+        (b">Visible<", b">Solar<", "no visible BSDF"),
+    ],
+)
+def test_bad_radiance_files_are_refused(old, new, message):
+    stream = io.BytesIO()
+    radiance.write({("Visible", "Reflection Back"): np.full((145, 145), 0.25)}, stream)
+    data = stream.getvalue().replace(old, new)
+    with pytest.raises(FileFormatError, match=message):
+        radiance.read(io.BytesIO(data))
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+def test_entities_are_not_expanded(encoding):
+    """Nor even declared, whatever the encoding hides them in."""
+    bomb = '<!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><x>&b;</x>'
+    bomb = f'<?xml version="1.0" encoding="{encoding}"?>{bomb}'
+    with pytest.raises(FileFormatError, match="it has a DTD"):
+        radiance.read(io.BytesIO(bomb.encode(encoding)))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "not closed"),
+        ("1 { 2 }", "does not begin with a brace"),
+        ("{ 1", "not closed"),
+        ("{ 1 } { 2 }", "not closed"),
+        ("{ 1 } }", "out of place"),
+        ("{ 1 } 2", "out of place"),
+        ("{ 1 { 2 } }", "out of place"),
+        ("{ {1} {2} }", "must have 8 children"),
+        ("{ 1 2 3 }", "2^3k values, got 3"),
+        ("{ " + 27 * "1 " + "}", "2^3k values, got 27"),
+        ("{ x }", "must be a number, got"),
+        ("{ nan }", "not finite"),
+        (10**6 * "{", "too deep"),
+    ],
+)
+def test_bad_trees_are_refused(text, message):
+    with pytest.raises(FileFormatError, match=message.replace("^", "\\^")):
+        TensorTree.parsed(text, 3)
+
+
+def test_a_colour_that_lacks_a_component_is_refused():
+    blocks = matrices(np.ones((145, 145, 3)), "Reflection Back")
+    del blocks["Visible", "Reflection Back"]
+    blocks["Visible", "Transmission Back"] = np.ones((145, 145))
+    stream = io.BytesIO()
+    radiance.write(blocks, stream)
+    stream.seek(0)
+    with pytest.raises(FileFormatError, match="lacks Visible"):
+        RadianceBSDF(stream)
