@@ -21,7 +21,7 @@ from ..errors import (
     number_of,
     shown,
 )
-from ..exchange.tables.text import is_decimal, without_degrees
+from .numbers import is_decimal, without_degrees
 from . import replacing
 
 COLUMNS = ("theta_i", "phi_i", "theta_o", "phi_o", "value")

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from ..array_types import Numbers
 from ..errors import FileFormatError
-from ..exchange.formats.format import Format
 from .checks import require, size_of
 
 MAGIC = b"tensor_file\0"
@@ -193,14 +192,3 @@ def _check_values(fields: dict[str, NDArray[np.generic]]) -> None:
             total = field.sum(axis=(2, 3), dtype=float)
             good = (field >= 0).all() and (total > 0).all() and np.isfinite(total).all()
             require(bool(good), f"its field {name} is no density to draw from")
-
-
-FORMATS = (
-    Format(
-        "Mitsuba",
-        (".bsdf",),
-        begins=re.compile(MAGIC.decode()),
-        refused="it is a material of Mitsuba: measure the specimen "
-        "measured:filename={path}",
-    ),
-)

@@ -15,7 +15,7 @@ from gonio_mi.array_types import Floats
 from gonio_mi.errors import SettingError, abridged
 from gonio_mi.exchange.formats.radiance import XYZ, has_back
 from gonio_mi.exchange.formats.reading import load_material
-from gonio_mi.exchange.formats.scatter import PatchMeans
+from gonio_mi.results.patch_means import PatchMeans
 from gonio_mi.materials.interpolation.interpolated_bsdf import (
     InterpolatedBSDF,
     half_vector_legs,

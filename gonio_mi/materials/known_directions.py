@@ -16,7 +16,7 @@ import numpy as np
 from ..campaigns.execution import Surroundings, records_of
 from ..collector import Subdivision
 from ..errors import LABEL, SettingError, SpecimenError, abridged, warn
-from ..exchange.formats.scatter import PatchMeans
+from ..results.patch_means import PatchMeans
 from ..instrument.specimen_text import SpecimenLike
 from ..progress import MIN_ANNOUNCED
 from ..results.azimuth_symmetry import AzimuthSymmetry

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..array_types import Flags, Floats, Integers
 from ..collector.directions import direction
-from ..exchange.formats.scatter import PatchMeans
+from ..results.patch_means import PatchMeans
 from ..results.record import Record
 from .interpolation.interpolated_bsdf import InterpolatedBSDF, half_vector_legs
 from .interpolation.lobes import MeasuredLobes

@@ -18,7 +18,7 @@ from ..array_types import Floats
 from ..collector.directions import direction
 from ..collector.hemisphere import Subdivision
 from ..exchange.exports.loss import fractions_of
-from ..exchange.formats.scatter import PatchMeans
+from ..results.patch_means import PatchMeans
 from ..progress import counted
 from ..results.record import Record
 from .interpolation.interpolated_bsdf import InterpolatedBSDF, half_vector_legs

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..array_types import Floats
 from ..errors import FileFormatError
-from ..exchange.tables.text import decimal
+from ..files.numbers import decimal
 from ..files.checks import require
 
 # Mitsuba's plugins by the ending of the file.

@@ -1,6 +1,6 @@
 """What formats of this room share: texts read line by line, and their interface.
 
-ALTA has no module: its files are only refused.
+ALTA and Mitsuba have no module: their files are only refused.
 """
 
 import re
@@ -13,8 +13,10 @@ import numpy as np
 from ...array_types import Floats
 from ...errors import FileFormatError
 from ...files.checks import require
-from ..tables.text import decimal
-from .scatter import PatchMeans, Points, Scatter
+from ...files.numbers import decimal
+from ...files.tensor_file import MAGIC
+from ...results.patch_means import PatchMeans
+from .scatter import Points, Scatter
 
 # Longest line, which is one of values; numbers that a text may announce.
 MAX_LINE, MAX_NUMBERS = 10**6, 10**8
@@ -186,6 +188,13 @@ class Format:
 
 
 FORMATS = (
+    Format(
+        "Mitsuba",
+        (".bsdf",),
+        begins=re.compile(MAGIC.decode()),
+        refused="it is a material of Mitsuba: measure the specimen "
+        "measured:filename={path}",
+    ),
     Format(
         "ALTA",
         (),

@@ -23,9 +23,9 @@ from ...collector.hemisphere import Subdivision
 from ...collector.klems import KLEMS, Klems
 from ...errors import FileFormatError
 from ...files.checks import require, size_of
-from ..tables.text import decimal
+from ...files.numbers import decimal
 from .format import Format
-from .scatter import PatchMeans
+from ...results.patch_means import PatchMeans
 from .tensor_tree import TensorTree, coordinates
 
 # Klems bases by their names in files.

@@ -17,7 +17,8 @@ from ...files.measured_table import MeasuredTable, repeats_noted
 from ...results.record import Record, chosen_channel
 from ..tables.reader import Specified, read_text
 from .format import Format, without_mark
-from .scatter import PatchMeans, Points, Scatter, scatter_means
+from ...results.patch_means import PatchMeans
+from .scatter import Points, Scatter, scatter_means
 
 QUANTITIES = ("brdf", "btdf")
 

@@ -15,6 +15,7 @@ from ...collector import EqualAngle
 from ...collector.directions import angles, direction
 from ...collector.hemisphere import Subdivision
 from ...files.checks import require
+from ...results.patch_means import PatchMeans
 
 # Points per side of a patch that is averaged over.
 POINTS = 6
@@ -282,41 +283,6 @@ class Points:
     header: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     partial: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class PatchMeans:
-    """Patch means of a material, from a file that holds no counts.
-
-    Attributes
-    ----------
-    subdivision : Subdivision
-    theta_i, phi_i : ndarray, shape (n_incident,)
-        In degrees.
-    channels : tuple of str
-    flux_fraction : ndarray
-        ``(n_incident, n_hemispheres, n_theta, n_phi, channels)``.
-    stacked : bool
-    """
-
-    subdivision: Subdivision
-    theta_i: np.ndarray
-    phi_i: np.ndarray
-    channels: tuple[str, ...]
-    flux_fraction: np.ndarray
-    stacked: bool = True
-
-    @classmethod
-    def of(
-        cls,
-        means: np.ndarray,
-        patches: Subdivision,
-        incident: tuple[np.ndarray, np.ndarray],
-        channels: tuple[str, ...],
-    ) -> "PatchMeans":
-        """Means of the BSDF in 1/sr, of the shape of `flux_fraction`."""
-        fractions = means * patches.projected_solid_angles[..., None]
-        return cls(patches, *incident, channels, fractions)
 
 
 def total_of(block: Block, n: int = 200) -> Floats:

@@ -25,7 +25,7 @@ import numpy as np
 from ...array_types import Floats
 from ...files.checks import require
 from ...results.record import wavelengths_nm
-from ..tables.text import decimal
+from ...files.numbers import decimal
 from .format import Format, Lines, check_size
 from .scatter import Block, Scatter, total_of
 

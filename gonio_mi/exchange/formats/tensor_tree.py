@@ -21,7 +21,7 @@ from ...array_types import Floats
 from ...collector.shirley_chiu import square_of
 from ...errors import FileFormatError
 from ...files.checks import require
-from ..tables.text import decimal
+from ...files.numbers import decimal
 
 # Cells whose values differ by less, relative to their mean, become one.
 MERGE_TOLERANCE = 0.01

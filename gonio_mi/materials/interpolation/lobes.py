@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike
 from ...array_types import Floats, Integers
 from ...collector import RingsAndSectors
 from ...errors import SettingError, check_memory
-from ...exchange.formats.scatter import PatchMeans
+from ...results.patch_means import PatchMeans
 from ...results.record import Record
 from .half_vectors import gradients
 from .incident_grid import IncidentGrid
