@@ -15,6 +15,7 @@ from . import start_up
 start_up.begin()
 
 from . import llvm  # noqa: E402
+from .annexes import is_missing  # noqa: E402
 
 llvm.prepare()
 
@@ -28,6 +29,7 @@ _module_of = {
     for statement in _stub.body
     if isinstance(statement, ast.ImportFrom)
     for name in statement.names
+    if not is_missing(statement.module or "")
 }
 
 __all__ = sorted(_module_of)

@@ -50,7 +50,7 @@ from .reports import report as report
 from .results.planning import Plan as Plan, plan as plan
 from .results.record import Record as Record
 from .results.tally import Ledger as Ledger
-from .validation.validate import validate as validate
+from .validation.examination import validate as validate
 from .validation.verdict import Verdict as Verdict
 
 __all__: list[str]

@@ -20,28 +20,31 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from . import start_up
+from .annexes import doors
 from .commands.arguments import INCOMPLETE, USER_ERROR, say, sentence
 from .commands.parser import Parser
 from .errors import SettingError, is_ctrl_c, is_the_users, own_frame
 from .start_up import PROGRAM
 
-# Each command is the module of this name in `commands`, imported when it is used.
-COMMANDS = {
+# Commands of the core, each the module of this name in `commands`, imported when it is
+# used; those of annexes follow.
+CORE = {
     "measure": "Measure how a specimen scatters light.",
     "show": "Show the numbers of a record, or how a table is understood.",
     "plot": "Draw a record.",
     "report": "Write an interactive page of records.",
-    "validate": "Examine a BSDF plugin, and say which function is wrong.",
-    "diff": "Compare what two Mitsuba versions say of the same BSDF.",
-    "conformance": "Ask Mitsuba's own plugins under several versions, as a page.",
-    "compare": "Compare a record with another one or with measured values.",
-    "fit": "Find the parameters of a BSDF from a record or a measured table.",
     "surface": "Print height, slope and micro-normal statistics.",
-    "bsdf": "Write the BSDF file of a window layer, blind or film.",
-    "export": "Write a record for other tools.",
     "plan": "Estimate how many rays a measurement needs.",
-    "chart": "Chart speed against accuracy for a specimen.",
     "doctor": "Check the installation.",
+}
+_PACKAGES = [(__package__, CORE), *((name, door.COMMANDS) for name, door in doors())]
+MODULES = {
+    name: f"{package}.commands.{name}"
+    for package, summaries in _PACKAGES
+    for name in summaries
+}
+COMMANDS = {
+    name: text for _, summaries in _PACKAGES for name, text in summaries.items()
 }
 
 EXAMPLES = """\
@@ -147,7 +150,7 @@ def _add_command(commands: Any, name: str) -> None:
     The docstring of its module is the help, after a first line. ``USAGE``,
     ``EXAMPLES`` and ``RARE`` are the module's own, if it has them.
     """
-    module = importlib.import_module(f".commands.{name}", __package__)
+    module = importlib.import_module(MODULES[name])
     _, _, description = inspect.cleandoc(module.__doc__ or "").partition("\n")
     own = commands.add_parser(
         name,

@@ -199,6 +199,28 @@ def tells_of_our_bug(error: BaseException) -> bool:
     return not issubclass(kind, (*_USERS, RuntimeError, UnicodeDecodeError))
 
 
+class OpenQuestionsError(FileFormatError):
+    """A text that leaves questions open."""
+
+    def __init__(self, message: str, place: str, questions: Sequence[str]) -> None:
+        super().__init__(message)
+        self.place, self.questions = place, list(questions)
+
+
+def check_nothing_open(place: str, questions: Sequence[str]) -> None:
+    """Raise OpenQuestionsError with all questions on the text at `place`.
+
+    Several questions leave no room for the folder: a long message loses its middle.
+    """
+    if not questions:
+        return
+    message = f"{place}: {questions[0]}"
+    if len(questions) > 1:
+        each = "; ".join(f"({i}) {one}" for i, one in enumerate(questions, 1))
+        message = f"{Path(place).name} leaves open: {each}"
+    raise OpenQuestionsError(message, place, questions)
+
+
 class Frame(NamedTuple):
     """A line of a traceback."""
 

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import os
-import shutil
-import tempfile
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import replace
 from os import PathLike
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..annexes import ask
 from ..errors import SettingError, SettingTypeError, checked_count, shown
 from ..instrument.incidence import incident_angles
-from ..materials.known_directions import KnownDirections
-from ..materials.whole_bsdf import WholeBsdf, checked_theta_max, checked_tolerance
 from ..results.record import Record
 from ..settings import MeasurementSettings
 from ..transport.variants import check_unpolarised, check_variant, is_parallel
@@ -131,7 +127,7 @@ def campaign(
             )
         return records_of(specimens, incidents, where, settings)
     check_unpolarised("tolerance")
-    tolerance, theta_max = checked_tolerance(tolerance), checked_theta_max(theta_max)
+    chosen_directions = ask("materials", "chosen_directions")
     others = {
         "theta_i": theta_i,
         "phi_i": phi_i if np.any(phi_i) else None,
@@ -140,38 +136,7 @@ def campaign(
     for other, value in others.items():
         if value is not None:
             raise SettingError(f"tolerance and {other} exclude each other, got both")
-    return _with_chosen_directions(specimens, tolerance, theta_max, where, settings)
-
-
-def _with_chosen_directions(
-    specimens: Mapping[str, Any],
-    tolerance: float,
-    theta_max: float,
-    where: Surroundings,
-    settings: dict[str, Any],
-) -> dict[str, Record]:
-    """Records of the directions that each specimen needs.
-
-    They are kept in a temporary folder if there is no other, which stays after Ctrl-C.
-    """
-    temporary = where.folder is None
-    if temporary:
-        where = replace(where, folder=tempfile.mkdtemp(prefix="gonio_mi_"))
-    materials: list[WholeBsdf] = []
-    try:
-        for name, specimen in specimens.items():
-            known = KnownDirections(str(name), specimen, tolerance, where, settings)
-            materials.append(WholeBsdf(known, theta_max))
-        return {material.name: material.measured() for material in materials}
-    except KeyboardInterrupt:
-        n_kept = sum(material.directions.n_kept for material in materials)
-        if not (temporary and n_kept):
-            raise
-        temporary = False  # it stays
-        raise KeyboardInterrupt(
-            f"{where.folder} holds the {n_kept} directions that were finished: with it "
-            "as folder the same campaign carries on"
-        ) from None
-    finally:
-        if temporary and where.folder is not None:
-            shutil.rmtree(where.folder, ignore_errors=True)
+    records: dict[str, Record] = chosen_directions(
+        specimens, tolerance, theta_max, where, settings
+    )
+    return records

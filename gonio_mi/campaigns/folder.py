@@ -8,6 +8,7 @@ import itertools
 import json
 import logging
 import os
+import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import version
@@ -265,3 +266,12 @@ def _fingerprint(specimen: Any) -> str:
 
 def _sha256(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
+
+
+def folder_name(name: str) -> str:
+    """Name of the folder of a specimen, whose own name may be a path.
+
+    What tells names apart that would be written alike is behind it.
+    """
+    digest = hashlib.blake2s(name.encode(), digest_size=4).hexdigest()
+    return f"{re.sub(r'[^A-Za-z0-9.,=+-]+', '_', name)[:80]}_{digest}"

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from .. import llvm
+from ..annexes import ask
 from ..errors import (
     FileFormatError,
     SettingError,
@@ -387,11 +388,10 @@ def check_no_table_options(
 
 def table_of(path: str, options: argparse.Namespace) -> MeasuredTable:
     """Table of a file, read as the options say."""
-    from ..exchange.formats.reading import read_measured
-
+    read_measured = ask("exchange", "read_measured")
     columns = dict(options.columns) if options.columns else None
     try:
-        return read_measured(
+        table: MeasuredTable = read_measured(
             path,
             options.channel,
             quantity=options.quantity,
@@ -401,3 +401,4 @@ def table_of(path: str, options: argparse.Namespace) -> MeasuredTable:
     except FileFormatError:
         check_kind(path, "table")
         raise
+    return table

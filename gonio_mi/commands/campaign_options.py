@@ -12,8 +12,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from ..campaigns.folder import folder_name
 from ..errors import checked_count
-from ..materials.known_directions import folder_name
 from ..results.record import Record
 from .arguments import INCOMPLETE, Group, add_number, add_text, say
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..annexes import ask
 from ..errors import SettingError
 
 if TYPE_CHECKING:
@@ -103,14 +104,13 @@ def record_of(path: str) -> Record:
 def _kind(path: Path) -> tuple[str, str]:
     """What commands take a file as, and a sentence on it."""
     from .. import files
-    from ..exchange.formats.reading import endings_of, format_of
     from ..surfaces import height_maps
     from ..surfaces.meshes import MESHES
 
     with path.open("rb") as stream:
         head = stream.read(HEAD)
     name = path.name.lower()
-    known = format_of(path)
+    known = ask("exchange", "format_of", lambda _: None)(path)
     if known is not None and known.refused:
         return "material", known.refused.removeprefix("it ")
     if name.endswith(".xml"):
@@ -118,7 +118,7 @@ def _kind(path: Path) -> tuple[str, str]:
         return ("material", OF_RADIANCE) if is_radiance else ("specimen", SCENE)
     kinds = (
         (files.ENDINGS, *RECORD),
-        (endings_of("scatter"), *MEASURED),
+        (ask("exchange", "endings_of", lambda _: ())("scatter"), *MEASURED),
         *OTHERS,
         (tuple(MESHES), *MESH),
         (height_maps.ENDINGS, *HEIGHTS),

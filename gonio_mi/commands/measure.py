@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from .. import files
+from ..annexes import ask
 from ..campaigns.campaign import campaign
 from ..campaigns.measure import measure
 from ..errors import LostLightWarning, SettingError
-from ..exchange import exports
 from ..instrument.measure import measure_orders
 from ..instrument.specimen_text import SpecimenLike
 from ..plots import ANIMATION_ENDINGS, FIGURE_ENDINGS
@@ -71,7 +71,7 @@ RARE = (
 MAKERS = {
     "plot": FIGURE_ENDINGS + ANIMATION_ENDINGS,
     "report": (".html",),
-    "export": exports.ENDINGS,
+    "export": ask("exchange", "ENDINGS", ()),
 }
 
 EXAMPLES = """\

@@ -12,6 +12,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import Any
 
+from ..annexes import ask
 from ..errors import SettingError
 from ..instrument.loading import surface_specimen
 from ..instrument.mesh import NORMALS, mesh
@@ -178,7 +179,7 @@ def prepared_surface(specimen: SpecimenLike, options: Namespace) -> Any:
 
 def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
-    from ..analysis.micro_normals import micro_normals
+    micro_normals = ask("analysis", "micro_normals")
     from ..plots import check_picture
     from ..surfaces.height_maps import read_height_map
     from ..surfaces.images import image_heights

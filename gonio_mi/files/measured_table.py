@@ -21,8 +21,8 @@ from ..errors import (
     number_of,
     shown,
 )
-from .numbers import is_decimal, without_degrees
 from . import replacing
+from .numbers import is_decimal, without_degrees
 
 COLUMNS = ("theta_i", "phi_i", "theta_o", "phi_o", "value")
 # Incident directions that are listed where a table is shown.

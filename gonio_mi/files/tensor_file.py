@@ -11,7 +11,6 @@ in its source, ``src/bsdfs/measured.cpp``.
 
 import math
 import os
-import re
 import struct
 from typing import Any, BinaryIO
 

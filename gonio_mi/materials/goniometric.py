@@ -11,18 +11,18 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from gonio_mi import files
+from gonio_mi.annexes import ask
 from gonio_mi.array_types import Floats
 from gonio_mi.errors import SettingError, abridged
-from gonio_mi.exchange.formats.radiance import XYZ, has_back
-from gonio_mi.exchange.formats.reading import load_material
-from gonio_mi.results.patch_means import PatchMeans
 from gonio_mi.materials.interpolation.interpolated_bsdf import (
     InterpolatedBSDF,
     half_vector_legs,
 )
 from gonio_mi.materials.interpolation.lobes import MeasuredLobes
 from gonio_mi.plugins import bsdf_functions
-from gonio_mi.results.record import Record, wavelengths_nm
+from gonio_mi.results.patch_means import PatchMeans
+from gonio_mi.results.record import XYZ, Record, wavelengths_nm
 from gonio_mi.settings.declaration import example
 
 # Signs of z on the front and the back.
@@ -112,7 +112,7 @@ class Goniometric(mi.BSDF):
                 f"llvm_ad_rgb, got {mi.variant()}"
             )
         front = _face("goniometric.filename", self.files[0], "front")
-        if self.files[1] is None and has_back(_resolved(self.files[0])):
+        if self.files[1] is None and _has_back(_resolved(self.files[0])):
             self.files[1] = self.files[0]
         back = None
         if self.files[1] is not None:
@@ -287,12 +287,21 @@ def _face(label: str, name: str, side: str) -> InterpolatedBSDF:
         raise type(error)(f"{label}: {error}") from None
 
 
+def _has_back(path: str) -> bool:
+    """Whether a file holds light of the back by itself; no record does."""
+    is_record = path.lower().endswith(files.ENDINGS)
+    return not is_record and ask("exchange", "has_back")(path)
+
+
 def _lobes(path: str, side: str) -> tuple[MeasuredLobes, Floats | None]:
     """Lobes of a file, and the wavelengths of their channels.
 
     A record itself is let go, whose batches need more memory than all that follows.
     """
-    material = load_material(path, side)
+    if path.lower().endswith(files.ENDINGS):
+        material = files.load_added_up(path)
+    else:
+        material = ask("exchange", "load_material")(path, side)
     from_back = isinstance(material, Record) and material.asked.side == "back"
     if side == "front" and from_back and path not in _told:
         _told.add(path)

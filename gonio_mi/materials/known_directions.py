@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
 import logging
-import re
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -14,13 +12,14 @@ from typing import Any
 import numpy as np
 
 from ..campaigns.execution import Surroundings, records_of
+from ..campaigns.folder import folder_name
 from ..collector import Subdivision
 from ..errors import LABEL, SettingError, SpecimenError, abridged, warn
-from ..results.patch_means import PatchMeans
 from ..instrument.specimen_text import SpecimenLike
 from ..progress import MIN_ANNOUNCED
 from ..results.azimuth_symmetry import AzimuthSymmetry
 from ..results.campaign_outcome import PredictionError
+from ..results.patch_means import PatchMeans
 from ..results.prediction_error import expected_noise, prediction_error
 from ..results.record import Record
 from ..settings import Estimator, MeasurementSettings
@@ -352,12 +351,3 @@ class KnownDirections:
     @property
     def _channels(self) -> tuple[str, ...]:
         return next(iter(self.records.values())).channels
-
-
-def folder_name(name: str) -> str:
-    """Name of the folder of a specimen, whose own name may be a path.
-
-    What tells names apart that would be written alike is behind it.
-    """
-    digest = hashlib.blake2s(name.encode(), digest_size=4).hexdigest()
-    return f"{re.sub(r'[^A-Za-z0-9.,=+-]+', '_', name)[:80]}_{digest}"

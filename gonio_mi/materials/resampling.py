@@ -17,10 +17,9 @@ from numpy.typing import ArrayLike
 from ..array_types import Floats
 from ..collector.directions import direction
 from ..collector.hemisphere import Subdivision
-from ..exchange.exports.loss import fractions_of
-from ..results.patch_means import PatchMeans
 from ..progress import counted
-from ..results.record import Record
+from ..results.patch_means import PatchMeans
+from ..results.record import Record, fractions_of
 from .interpolation.interpolated_bsdf import InterpolatedBSDF, half_vector_legs
 from .interpolation.lobes import MeasuredLobes
 from .interpolation.lookups import seen_from

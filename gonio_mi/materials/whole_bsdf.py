@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import copy
 import logging
+import shutil
+import tempfile
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from ..campaigns.execution import Surroundings
 from ..errors import checked_number, warn
 from ..results.azimuth_symmetry import AzimuthSymmetry, Motion, azimuth_of
 from ..results.campaign_outcome import MAX_LOOKS, CampaignOutcome, PredictionError
@@ -324,3 +328,38 @@ class WholeBsdf:
                 f"within it, and {self.helps}"
             )
         return record.with_provenance(campaign=outcome)
+
+
+def chosen_directions(
+    specimens: Mapping[str, Any],
+    tolerance: float,
+    theta_max: float,
+    where: Surroundings,
+    settings: dict[str, Any],
+) -> dict[str, Record]:
+    """Records of the directions that each specimen needs, as `campaign` says.
+
+    They are kept in a temporary folder if there is no other, which stays after Ctrl-C.
+    """
+    tolerance, theta_max = checked_tolerance(tolerance), checked_theta_max(theta_max)
+    temporary = where.folder is None
+    if temporary:
+        where = replace(where, folder=tempfile.mkdtemp(prefix="gonio_mi_"))
+    materials: list[WholeBsdf] = []
+    try:
+        for name, specimen in specimens.items():
+            known = KnownDirections(str(name), specimen, tolerance, where, settings)
+            materials.append(WholeBsdf(known, theta_max))
+        return {material.name: material.measured() for material in materials}
+    except KeyboardInterrupt:
+        n_kept = sum(material.directions.n_kept for material in materials)
+        if not (temporary and n_kept):
+            raise
+        temporary = False  # it stays
+        raise KeyboardInterrupt(
+            f"{where.folder} holds the {n_kept} directions that were finished: with it "
+            "as folder the same campaign carries on"
+        ) from None
+    finally:
+        if temporary and where.folder is not None:
+            shutil.rmtree(where.folder, ignore_errors=True)

@@ -9,11 +9,13 @@ import sys
 
 import mitsuba as mi
 
+from ..annexes import doors
 from ..transport.kernels import know_own_variant, orderly
 
 __all__ = ["MODULES", "register"]
 
-# In the order of registration: a module comes after those whose plugins it looks up.
+# In the order of registration: a module comes after those whose plugins it looks up,
+# and those of annexes after ours.
 MODULES = (
     "samplers.sobol",
     "shapes.heightfield",
@@ -21,7 +23,6 @@ MODULES = (
     "bsdfs.cosinelobe",
     "bsdfs.glossymixture",
     "bsdfs.anisotropicphong",
-    "bsdfs.goniometric",
     "films.patches",
     "sensors.collector",
     "integrators.goniophotometer",
@@ -34,8 +35,9 @@ def register() -> None:
     The plugin modules bind Mitsuba's types when they are run, so that they are run
     again for each variant.
     """
-    for name in MODULES:
-        qualified = f"{__name__}.{name}"
+    modules = [f"{__name__}.{name}" for name in MODULES]
+    modules += [f"{annex}.{name}" for annex, door in doors() for name in door.PLUGINS]
+    for qualified in modules:
         if qualified in sys.modules:
             importlib.reload(sys.modules[qualified])
         else:

@@ -277,7 +277,24 @@ class Record(MeasuredValues):
         )
 
 
+# ------------------------------------------------------------------- values as arrays
+
+
+def fractions_of(record: Record) -> Floats:
+    """Flux fractions with the incident direction as first axis, also of one."""
+    return record.flux_fraction if record.stacked else record.flux_fraction[None]
+
+
 # ---------------------------------------------------------------------------- channels
+
+# CIE XYZ of the channels R, G and B, linear sRGB (IEC 61966-2-1).
+XYZ = np.array(
+    [
+        [0.412453, 0.357580, 0.180423],
+        [0.212671, 0.715160, 0.072169],
+        [0.019334, 0.119193, 0.950227],
+    ]
+)
 
 
 def wavelengths_nm(channels: Sequence[str]) -> Floats | None:

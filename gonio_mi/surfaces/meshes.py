@@ -9,8 +9,8 @@ import numpy as np
 
 from ..array_types import Floats
 from ..errors import FileFormatError
-from ..files.numbers import decimal
 from ..files.checks import require
+from ..files.numbers import decimal
 
 # Mitsuba's plugins by the ending of the file.
 MESHES = {".obj": "obj", ".ply": "ply", ".stl": "stl"}

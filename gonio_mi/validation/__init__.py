@@ -4,24 +4,37 @@ One flat BSDF at one incident direction is all that is needed: its functions are
 about the same directions, and what they answer is compared.
 """
 
-from .evidence import POLARISED, PROPERTIES
-from .numpy_bsdf import from_numpy
-from .reproducer import reproducer
-from .validate import validate
-from .verdict import Property, Verdict
-from .verdict_page import check_report, draw, save_report, verdict_view
+import importlib
+from typing import Any
 
-Verdict.viewer = verdict_view
+COMMANDS = {
+    "validate": "Examine a BSDF plugin, and say which function is wrong.",
+    "diff": "Compare what two Mitsuba versions say of the same BSDF.",
+    "conformance": "Ask Mitsuba's own plugins under several versions, as a page.",
+}
+PLUGINS: tuple[str, ...] = ()
+OFFERS: dict[str, str] = {}
 
-__all__ = [
-    "POLARISED",
-    "PROPERTIES",
-    "Property",
-    "Verdict",
-    "check_report",
-    "draw",
-    "from_numpy",
-    "reproducer",
-    "save_report",
-    "validate",
-]
+# Public names by module.
+_module_of = {
+    "POLARISED": "evidence",
+    "PROPERTIES": "evidence",
+    "Property": "verdict",
+    "Verdict": "verdict",
+    "check_report": "verdict_page",
+    "draw": "verdict_page",
+    "from_numpy": "numpy_bsdf",
+    "reproducer": "reproducers",
+    "save_report": "verdict_page",
+    "validate": "examination",
+}
+__all__ = [*_module_of]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is used: the door itself needs no renderer."""
+    if name not in _module_of:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module = importlib.import_module(f".{_module_of[name]}", __name__)
+    globals()[name] = value = getattr(module, name)
+    return value

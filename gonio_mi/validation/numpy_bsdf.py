@@ -25,8 +25,8 @@ def from_numpy(
     """Mitsuba BSDF of three functions on arrays of directions.
 
     What another engine, a shader or a port computes is judged by
-    :func:`gonio_mi.validation.validate` and measured by :func:`gonio_mi.measure` like
-    any plugin. All lobes are one component without discrete directions, the same in
+    :func:`gonio_mi.validate` and measured by :func:`gonio_mi.measure` like any
+    plugin. All lobes are one component without discrete directions, the same in
     both transport modes.
 
     Parameters

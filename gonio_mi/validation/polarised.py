@@ -100,7 +100,7 @@ def examine_polarised(
     evidence : Evidence
     effort : str
     specimen : object
-        As of :func:`gonio_mi.validation.validate`.
+        As of :func:`gonio_mi.validation.examination`.
     load : callable or None
         Loads the same BSDF in the variant that is set.
     """

@@ -8,7 +8,7 @@ from mitsuba import chi2
 
 from ..instrument.specimen_text import SpecimenLike
 from ..transport.variants import is_parallel
-from . import validate
+from .examination import validate
 from .verdict import Verdict
 
 
@@ -23,7 +23,7 @@ def assert_bsdf_valid(
 ) -> Verdict:
     """Raise AssertionError with the verdict if a BSDF plugin is wrong.
 
-    Parameters and further errors as of :func:`gonio_mi.validation.validate`.
+    Parameters and further errors as of :func:`gonio_mi.validation.examination`.
 
     Returns
     -------
@@ -80,10 +80,10 @@ def _known(
 
 
 class ChiSquareTest(chi2.ChiSquareTest):
-    """Mitsuba's test, and :func:`gonio_mi.validation.validate` after it.
+    """Mitsuba's test, and :func:`gonio_mi.validation.examination` after it.
 
     A test of a plugin that has ``from mitsuba.chi2 import ...`` becomes one of all its
-    functions, at all directions, by ``from gonio_mi.validation.testing import ...``. Whatever does
+    functions, at all directions, by ``from gonio_mi.testing import ...``. Whatever does
     not come from an adapter of this module, and scalar variants, get Mitsuba's test
     alone. Only the validation decides where it is made, for Mitsuba's test has false
     alarms; its p-value is `p_value`, and `messages` has both results.

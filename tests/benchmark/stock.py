@@ -9,7 +9,7 @@ import mitsuba as mi
 
 from gonio_mi.campaigns.measure import measure
 from gonio_mi.exchange.exports.exporting import export
-from gonio_mi.validation.validate import validate
+from gonio_mi.validation.examination import validate
 from gonio_mi.validation.verdict import Verdict
 from gonio_mi.validation.versions.stock import cases
 

@@ -35,7 +35,7 @@ from gonio_mi.validation import maps, validate, verdict
 from gonio_mi.validation.integrals import integrals
 
 # The module, whose name the package gives to its function.
-EXAMINATION = sys.modules["gonio_mi.validation.validate"]
+EXAMINATION = sys.modules["gonio_mi.validation.examination"]
 
 # What a statistic is, by its first words.
 VIEWS = {

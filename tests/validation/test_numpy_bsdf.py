@@ -74,7 +74,7 @@ def test_maps_have_their_own_samples_after_one_that_failed(monkeypatch):
         keys.append(key)
         return in_radiance_mode(bsdf, maps, key)
 
-    module = sys.modules["gonio_mi.validation.validate"]
+    module = sys.modules["gonio_mi.validation.examination"]
     monkeypatch.setattr(module, "four_maps", fails_at_first)
     monkeypatch.setattr(module, "in_radiance_mode", radiance)
     bsdf = from_numpy(sample, value, density, two_sided=True)

@@ -27,9 +27,9 @@ from gonio_mi.validation.commands.validate import told
 from gonio_mi.validation.conditions import Condition
 from gonio_mi.validation.diagnosis import EXPLAINED_BY, likely_mistake
 from gonio_mi.validation.evidence import EFFECTS, Breach, Evidence
+from gonio_mi.validation.examination import coloured
 from gonio_mi.validation.samples import samples_of
 from gonio_mi.validation.testing import assert_bsdf_valid
-from gonio_mi.validation.validate import coloured
 from gonio_mi.validation.verdict import Verdict, properties_of
 
 ALPHA = budget.ALPHA
@@ -114,7 +114,7 @@ def test_quick_has_one_thread_and_gives_the_others_back(name, monkeypatch):
         seen.append(dr.thread_count())
         return likely_mistake(*arguments)
 
-    module = sys.modules["gonio_mi.validation.validate"]
+    module = sys.modules["gonio_mi.validation.examination"]
     monkeypatch.setattr(module, "likely_mistake", noted)
     with thread_count(3):
         validate({"type": name}, effort="quick")

@@ -36,8 +36,7 @@ from ...commands.arguments import (
     variant_for,
 )
 from ...commands.file_kinds import is_table, record_of
-from ...errors import SettingError
-from ...exchange.tables.reader import OpenQuestionsError, check_nothing_open
+from ...errors import OpenQuestionsError, SettingError, check_nothing_open
 from ...surfaces.meshes import MESHES
 
 USAGE = "%(prog)s RECORD OTHER [options]"

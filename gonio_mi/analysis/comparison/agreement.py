@@ -158,7 +158,7 @@ class PointSet:
 def judge(
     sets: Sequence[PointSet], scale: float
 ) -> tuple[Floats, Floats, dict[str, float], dict[str, float]]:
-    """Scores of all points, and the tests of :func:`gonio_mi.analysis.comparison.compare`.
+    """Scores of all points, and the tests of :func:`gonio_mi.compare`.
 
     Parameters
     ----------

@@ -12,8 +12,7 @@ import numpy as np
 
 from ...array_types import Floats, Numbers
 from ...errors import SettingError, warn
-from ...results.record import Record, wavelengths_nm
-from ..formats.radiance import XYZ
+from ...results.record import XYZ, Record, wavelengths_nm
 
 # Wavelengths that are measured for visible light where none are asked for.
 VISIBLE_NM = tuple(range(400, 701, 20))

@@ -8,22 +8,20 @@ from typing import Any
 
 import numpy as np
 
+from ...annexes import check_there
 from ...array_types import Floats
 from ...collector.hemisphere import Subdivision
 from ...errors import SettingError, checked_choice, warn
 from ...files import check_output, netcdf, replacing
 from ...files.measured_table import MeasuredTable
 from ...files.writing import takes_a_stream
-from ...results.record import Record, wavelengths_nm
+from ...results.record import Record, fractions_of, wavelengths_nm
 from ...results.summary import summarize
 from ...results.tally import ELEMENT_NAMES
 from ..formats import astm
 from ..formats.radiance import BASES, Product
 from ..formats.reading import endings_of, read_measured
-from .loss import ZEMAX, Loss, fractions_of, losses, part_names
-from .measured_export import write_measured
-from .radiance_export import write_radiance
-from .scatter_export import write_grids, write_merl, write_zemax
+from .loss import ZEMAX, Loss, losses, part_names
 
 ENDINGS = (
     *(".csv", ".astm", ".xml", ".bsdf", ".nc", ".h5"),
@@ -77,12 +75,12 @@ def export(
         seed by which `compare` knows rays of its own, and with the elements of Mueller
         matrices as further columns, which nothing here reads back; for several
         quantities or channels their names are put before the ending. ``.astm``: text
-        after ASTM E1392, of reflection; see :mod:`gonio_mi.exchange.formats.astm`. ``.xml``: a
-        Radiance BSDF. ``.bsdf``: for Mitsuba's `measured`, reflection only; needs a
-        variant of rgb, or a spectral one for channels that are wavelengths. ``.nc``
-        and ``.h5``: NetCDF and HDF5, by xarray. ``.zemax.bsdf``: for Zemax. ``.brdf``
-        and ``.anisotropicbsdf``: for Speos. ``.json`` or ``.xompt``: OpenMATERIAL.
-        ``.binary``: as the MERL database.
+        after ASTM E1392, of reflection; see :mod:`~gonio_mi.exchange.formats.astm`.
+        ``.xml``: a Radiance BSDF. ``.bsdf``: for Mitsuba's `measured`, reflection only;
+        needs a variant of rgb, or a spectral one for channels that are wavelengths.
+        ``.nc`` and ``.h5``: NetCDF and HDF5, by xarray. ``.zemax.bsdf``: for Zemax.
+        ``.brdf`` and ``.anisotropicbsdf``: for Speos. ``.json`` or ``.xompt``:
+        OpenMATERIAL. ``.binary``: as the MERL database.
     basis : {"klems", "klems-half", "klems-quarter", "tensor3", "tensor4"}
         Of Radiance: a Klems basis, or a tensor tree for isotropic (3) or any (4)
         materials.
@@ -126,20 +124,31 @@ def export(
     for one in records:
         _warn_of_openings(one)
         _warn_of_lost_light(one)
+    if ending not in _FORMATS:
+        check_there("materials", f"a file {ending}")
     if ending == ".xml":
+        from .radiance_export import write_radiance
+
         return write_radiance(records, path, basis, product, solar, progress)
     if len(records) > 1 or product is not None or solar:
         raise SettingError(
             "several records, a product and solar light go to a file .xml, got "
             f"{Path(path).name}"
         )
+    if ending in _FORMATS:
+        return _FORMATS[ending](records[0], path)
+    from .measured_export import write_measured
+    from .scatter_export import write_grids, write_merl, write_zemax
+
     if Path(path).name.lower().endswith(ZEMAX):
         return write_zemax(records[0], path)
     if ending in REFLECTION_ONLY:
         _warn_of_transmission(records[0], ending)
     if ending == ".bsdf":
         return write_measured(records[0], path, progress)
-    return _FORMATS.get(ending, write_grids)(records[0], path)
+    if ending == ".binary":
+        return write_merl(records[0], path)
+    return write_grids(records[0], path)
 
 
 def _warn_of_openings(record: Record) -> None:
@@ -296,5 +305,4 @@ _FORMATS: dict[str, Callable[[Record, str | PathLike[str]], list[Loss]]] = {
     ".astm": _astm,
     ".nc": _netcdf,
     ".h5": partial(_netcdf, engine="h5netcdf"),
-    ".binary": write_merl,
 }

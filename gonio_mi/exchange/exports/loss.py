@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...array_types import Floats
-from ...results.record import Record
+from ...results.record import Record, fractions_of
 from ...single_precision import ROUNDING
 
 ZEMAX = ".zemax.bsdf"
@@ -62,11 +62,6 @@ class Loss:
             f"the file {self.written:.5f}; {self.misplaced:.2%} of the flux is in "
             f"other patches (the record's own noise: {self.noise:.2%})"
         )
-
-
-def fractions_of(record: Record) -> Floats:
-    """Flux fractions with the incident direction as first axis, also of one."""
-    return record.flux_fraction if record.stacked else record.flux_fraction[None]
 
 
 def losses(

@@ -15,12 +15,12 @@ from ...collector.shirley_chiu import ShirleyChiu
 from ...errors import SettingError, abridged, checked_choice, warn
 from ...files import replacing
 from ...materials.resampling import Material, resampled, specular_peaks
-from ...results.record import Record, wavelengths_nm
+from ...results.record import XYZ, Record, fractions_of, wavelengths_nm
 from ..formats import radiance
 from ..formats.radiance import BASES, RANKS, Product, RadianceBSDF
 from ..formats.tensor_tree import TensorTree, isotropic_incidence
 from .daylight import of_daylight
-from .loss import Loss, fractions_of, losses
+from .loss import Loss, losses
 
 # Cells per axis of tensor trees; those of rank 3 are cheap enough to be finer.
 TREE_SIZES = {3: 64, 4: 32}
@@ -268,7 +268,7 @@ def matrices(values: Floats, direction: str) -> dict[tuple[str, str], Floats]:
     """Blocks of a Klems matrix ``(n, n, channels)`` in one direction."""
     if values.shape[-1] == 1:
         return {("Visible", direction): values[..., 0]}
-    xyz = values @ radiance.XYZ.T
+    xyz = values @ XYZ.T
     return {
         (name, direction): xyz[..., i] for i, name in enumerate(radiance.MATRIX_NAMES)
     }
@@ -278,7 +278,7 @@ def trees(values: Floats, direction: str) -> dict[tuple[str, str], TensorTree]:
     """Blocks of tensor trees of a grid, ``(n, n, ..., channels)``."""
     if values.shape[-1] == 1:
         return {("Visible", direction): TensorTree.of(values[..., 0])}
-    x, y, z = np.moveaxis(values @ radiance.XYZ.T, -1, 0)
+    x, y, z = np.moveaxis(values @ XYZ.T, -1, 0)
     total = x + 15 * y + 3 * z
     lit = total > 0
     total = np.where(lit, total, 1)

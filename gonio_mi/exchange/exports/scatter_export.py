@@ -11,11 +11,11 @@ from ...collector.directions import direction
 from ...errors import SettingError, abridged
 from ...files import replacing
 from ...materials.resampling import Material
-from ...results.record import Record, wavelengths_nm
+from ...results.record import Record, fractions_of, wavelengths_nm
 from ..formats import merl, zemax
 from ..formats.reading import format_named, read_scatter
 from ..formats.scatter import Block, Scatter, scatter_means, total_of
-from .loss import Loss, fractions_of, losses, part_names
+from .loss import Loss, losses, part_names
 
 # Polar angles and azimuths about the specular direction, where lobes are narrow.
 RADIAL, AROUND = merl.RADIAL, np.arange(0.0, 361.0, 10.0)

@@ -24,8 +24,9 @@ from ...collector.klems import KLEMS, Klems
 from ...errors import FileFormatError
 from ...files.checks import require, size_of
 from ...files.numbers import decimal
-from .format import Format
 from ...results.patch_means import PatchMeans
+from ...results.record import XYZ
+from .format import Format
 from .tensor_tree import TensorTree, coordinates
 
 # Klems bases by their names in files.
@@ -71,15 +72,6 @@ SOURCES["Solar"] = "ASTM E891 Table 1 Direct AM1_5.ssp"
 
 # Longest file read: a hundred times what 12 matrices need.
 MAX_BYTES = 2**29
-
-# CIE XYZ of linear sRGB (IEC 61966-2-1).
-XYZ = np.array(
-    [
-        [0.412453, 0.357580, 0.180423],
-        [0.212671, 0.715160, 0.072169],
-        [0.019334, 0.119193, 0.950227],
-    ]
-)
 
 MATRIX_NAMES = ("CIE-X", "Visible", "CIE-Z")
 TREE_NAMES = ("Visible", "CIE-u", "CIE-v")

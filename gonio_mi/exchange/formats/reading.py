@@ -14,10 +14,10 @@ import numpy as np
 from ... import files
 from ...errors import FileFormatError, SettingError, no_file, shown
 from ...files.measured_table import MeasuredTable, repeats_noted
+from ...results.patch_means import PatchMeans
 from ...results.record import Record, chosen_channel
 from ..tables.reader import Specified, read_text
 from .format import Format, without_mark
-from ...results.patch_means import PatchMeans
 from .scatter import Points, Scatter, scatter_means
 
 QUANTITIES = ("brdf", "btdf")
@@ -193,7 +193,8 @@ def read_measured(
     Parameters
     ----------
     path : str or path
-        Ends in ``.astm`` for text after ASTM E1392 (:mod:`gonio_mi.exchange.formats.astm`); in
+        Ends in ``.astm`` for text after ASTM E1392
+        (:mod:`gonio_mi.exchange.formats.astm`); in
         ``.json`` or ``.xompt`` for OpenMATERIAL, in ``.binary`` for MERL. Files of
         Zemax, Speos and FRED are known by what they hold; any other is text with
         columns.

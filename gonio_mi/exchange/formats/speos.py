@@ -24,8 +24,8 @@ import numpy as np
 
 from ...array_types import Floats
 from ...files.checks import require
-from ...results.record import wavelengths_nm
 from ...files.numbers import decimal
+from ...results.record import wavelengths_nm
 from .format import Format, Lines, check_size
 from .scatter import Block, Scatter, total_of
 

@@ -4,7 +4,6 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from ...errors import (
     FileFormatError,
     SettingError,
     abridged,
+    check_nothing_open,
     checked_choice,
     number_of,
     shown,
@@ -25,6 +25,7 @@ from ...files.measured_table import (
     fits,
     parsed_keys,
 )
+from ...files.numbers import decimal, decimals, is_decimal, without_degrees
 from ...results.record import chosen_channel
 from .angles import (
     AZIMUTHS,
@@ -35,7 +36,7 @@ from .angles import (
     unit_questions,
 )
 from .names import ANGLES, COLOURS, ROLES, Column, coverage_of, recognised, unit_of
-from .text import TextTable, decimal, decimals, is_decimal, split_text, without_degrees
+from .text import TextTable, split_text
 
 OWN_NAMES = (*COLUMNS, "sigma")
 
@@ -65,28 +66,6 @@ QUANTITY_PATTERNS = (
     (r"\bBTDF\b", "btdf"),
     (r"\bBRDF\b", "brdf"),
 )
-
-
-class OpenQuestionsError(FileFormatError):
-    """A text that leaves questions open."""
-
-    def __init__(self, message: str, place: str, questions: Sequence[str]) -> None:
-        super().__init__(message)
-        self.place, self.questions = place, list(questions)
-
-
-def check_nothing_open(place: str, questions: Sequence[str]) -> None:
-    """Raise OpenQuestionsError with all questions on the text at `place`.
-
-    Several questions leave no room for the folder: a long message loses its middle.
-    """
-    if not questions:
-        return
-    message = f"{place}: {questions[0]}"
-    if len(questions) > 1:
-        each = "; ".join(f"({i}) {one}" for i, one in enumerate(questions, 1))
-        message = f"{Path(place).name} leaves open: {each}"
-    raise OpenQuestionsError(message, place, questions)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
 
-from ...errors import FileFormatError
+from ...errors import FileFormatError, shown
 from ...files.numbers import is_decimal, without_degrees
 from .names import is_unit
 

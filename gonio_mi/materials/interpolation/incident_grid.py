@@ -14,8 +14,8 @@ import numpy as np
 from ...array_types import Flags, Floats, Integers
 from ...collector import RingsAndSectors, Subdivision
 from ...errors import SettingError
-from ...results.patch_means import PatchMeans
 from ...results.azimuth_symmetry import AzimuthSymmetry, Motion, symmetry_of
+from ...results.patch_means import PatchMeans
 from ...results.record import Record
 from .half_vectors import predicted_lobes
 

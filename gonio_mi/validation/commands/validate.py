@@ -71,7 +71,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
     from .. import check_report, save_report
-    from ..reproducer import save_reproducer
+    from ..reproducers import save_reproducer
 
     if options.report is not None:
         check_report(options.report)
@@ -134,8 +134,8 @@ def _verdicts(options: argparse.Namespace) -> tuple[list[Verdict], dict[str, str
 
 def _verdict(options: argparse.Namespace, variant: str) -> Verdict:
     from ...transport.variants import is_polarised, parallel_variants, unpolarised
-    from .. import validate
-    from ..reproducer import source_of
+    from ..examination import validate
+    from ..reproducers import source_of
 
     options = argparse.Namespace(**(vars(options) | {"variant": variant}))
     if is_polarised(variant):

@@ -1,7 +1,7 @@
 """The conformance table: stock plugins under installed versions, by plain scripts.
 
 Each property is asked by a script of at most 20 lines, most of them those that
-:mod:`gonio_mi.validation.reproducer` writes for a failure, so that what is red comes
+:mod:`gonio_mi.validation.reproducers` writes for a failure, so that what is red comes
 with its reproducer. The other version's environment needs nothing but Mitsuba and
 NumPy.
 """
@@ -26,15 +26,15 @@ from typing import Any
 
 import mitsuba as mi
 
+from ...annexes import ask
 from ...campaigns.measure import measure
 from ...errors import SettingError, SpecimenError
-from ...exchange.exports.exporting import export
 from ...progress import bar
 from ...reports.page import folded, preformatted, save_page, table
 from ..conditions import WAVELENGTHS_NM
 from ..evidence import PHASE, PROPERTIES
 from ..kinds import LIT, SMOOTH
-from ..reproducer import ANYWHERE, in_a_medium, of_first_elements, script, source_of
+from ..reproducers import ANYWHERE, in_a_medium, of_first_elements, script, source_of
 from ..verdict import FAILS, Property, Verdict
 from .asking import answers_of
 from .stock import bsdfs, phase_functions, word_of
@@ -267,7 +267,7 @@ def _materials() -> dict[str, str]:
                     **channels,
                 )
                 path = Path(folder) / one["filename"]
-                export(record, path)
+                ask("exchange", "export")(record, path)
                 files[path.name] = base64.b64encode(path.read_bytes()).decode()
     return files
 

@@ -44,7 +44,8 @@ def saved(
 ) -> dict[str, Any]:
     """What the Mitsuba of a virtual environment says of a BSDF, for JSON.
 
-    Parameters as of :func:`gonio_mi.validation.versions.diff`; `name` is what the entry is called.
+    Parameters as of :func:`~gonio_mi.validation.versions.diff`; `name` is what the
+    entry is called.
     """
     check_variant()
     question = asked_of(specimen, parameters, plugins, seed)

@@ -1,8 +1,8 @@
 """Answers of a BSDF, or of scripts, in the Mitsuba of whichever Python runs this file.
 
 ``python worker.py FOLDER`` reads ``question.json`` and ``question.npz`` there and
-writes ``answer.json`` and ``answer.npz``, see :mod:`gonio_mi.validation.versions.asking`; of
-scripts it prints a line of JSON each, as soon as it has ended. It needs nothing but
+writes ``answer.json`` and ``answer.npz``, see :mod:`.asking`; of scripts
+ it prints a line of JSON each, as soon as it has ended. It needs nothing but
 NumPy and Mitsuba, and is meant to run with versions that the rest of the package knows
 nothing of: vectors are made and read component by component.
 """

@@ -200,7 +200,7 @@ def test_direct_light_is_possible(tmp_path, hemispheres):
     """What passed the openings is in a patch straight on and in a row of its own."""
     mi.set_variant("llvm_ad_mono")
     record = gonio.measure(
-        str(Path(__file__).parents[2] / "scenes" / "crossed_threads.xml"),
+        str(Path(__file__).parents[3] / "scenes" / "crossed_threads.xml"),
         30,
         rays=2000,
         batches=2,

@@ -12,7 +12,7 @@ import pytest
 from gonio_mi.campaigns.measure import measure_whole
 from gonio_mi.cli import main
 from gonio_mi.errors import LostLightWarning
-from gonio_mi.validation.reproducer import source_of
+from gonio_mi.validation.reproducers import source_of
 from gonio_mi.validation.versions.asking import Question
 
 BALL = {"type": "sphere", "bsdf": {"type": "diffuse"}}

@@ -11,7 +11,7 @@ from closed_forms import fresnel, slab
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
 
-SCENES = Path(__file__).parents[2] / "scenes"
+SCENES = Path(__file__).parents[3] / "scenes"
 NAMES = sorted(path.stem for path in SCENES.glob("*.xml"))
 
 

@@ -20,7 +20,7 @@ from gonio_mi.surfaces.topography import Preparation, topography
 import drjit as dr
 import mitsuba as mi
 
-REAL = Path(__file__).parents[3] / "shared" / "data"
+REAL = Path(__file__).parents[4] / "shared" / "data"
 EPS32, EPS = np.finfo(np.float32).eps, np.finfo(float).eps
 
 

@@ -27,7 +27,7 @@ from gonio_mi.results.summary import summarize
 from gonio_mi.results.summary_text import summary_text
 from gonio_mi.transport import sampling
 
-SCENES = Path(__file__).parents[2] / "scenes"
+SCENES = Path(__file__).parents[3] / "scenes"
 PATCHES = "projected:5x6"
 # Midpoints of eight rings of equal projected solid angle.
 RING_ANGLES = np.degrees(np.arcsin(np.sqrt((np.arange(8) + 0.5) / 8))).tolist()

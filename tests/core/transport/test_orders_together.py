@@ -14,7 +14,7 @@ from gonio_mi.transport.exits import OrderClasses
 
 pytestmark = pytest.mark.usefixtures("mono")
 
-SCENES = Path(__file__).parents[2] / "scenes"
+SCENES = Path(__file__).parents[3] / "scenes"
 ORDERS = (0, 1, "2+", 6, "all")
 GREY = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": 0.8}}
 HILLS = {"type": "heightfield", "alpha": 0.8, "resolution": 16, "bsdf": GREY}

@@ -23,7 +23,7 @@ from gonio_mi.transport import media
 from gonio_mi.transport.media import ask_phase_function, phase_defect
 from gonio_mi.transport.wavelengths import wavelength_lanes
 
-TABLE = Path(__file__).parents[2] / "notebooks" / "reliability.md"
+TABLE = Path(__file__).parents[3] / "notebooks" / "reliability.md"
 COSINES = np.linspace(-1, 1, 101)
 BOX = (-1, -1, -1), (0, 1, 2)
 

@@ -24,7 +24,7 @@ from gonio_mi.results.tally import Tally
 
 pytestmark = pytest.mark.usefixtures("mono")
 
-SCENES = Path(__file__).parents[2] / "scenes"
+SCENES = Path(__file__).parents[3] / "scenes"
 
 # Parts, reflectance and incident angles.
 SPECIMENS = {

@@ -20,10 +20,10 @@ from sampled_material import SamplingDensity
 
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
-from gonio_mi.results.patch_means import PatchMeans
 from gonio_mi.materials.interpolation.lobes import MeasuredLobes
 from gonio_mi.materials.interpolation.lookups import doubles
 from gonio_mi.quadrature import integrate
+from gonio_mi.results.patch_means import PatchMeans
 
 
 @pytest.fixture(autouse=True)

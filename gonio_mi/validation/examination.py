@@ -54,7 +54,7 @@ from .maps import four_maps, in_radiance_mode
 from .phase_functions import as_bsdf, examine_phase_function
 from .polarised import examine_polarised, likely_mistake as polarised_mistake
 from .probe import Probe, number_parameters
-from .reproducer import source_of
+from .reproducers import source_of
 from .samples import Samples, samples_of, unequal
 from .verdict import FAILS, Verdict, properties_of
 

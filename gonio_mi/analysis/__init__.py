@@ -1,0 +1,9 @@
+"""Conclusions from records: comparison, parameters of models, charts, micro-normals."""
+
+COMMANDS = {
+    "compare": "Compare a record with another one or with measured values.",
+    "fit": "Find the parameters of a BSDF from a record or a measured table.",
+    "chart": "Chart speed against accuracy for a specimen.",
+}
+PLUGINS: tuple[str, ...] = ()
+OFFERS = {"micro_normals": "micro_normals"}

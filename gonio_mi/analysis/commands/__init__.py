@@ -1,0 +1,1 @@
+"""Commands of this annex, each a module: compare, fit, chart."""
