@@ -22,6 +22,7 @@ import mitsuba as mi
 import pytest
 
 from gonio_mi import progress
+from gonio_mi.annexes import is_missing
 
 
 def pytest_configure(config):
@@ -73,8 +74,14 @@ SLOW = """
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Mark the tests of slow files; of several processes none ends with one."""
+    """Mark the tests of slow files; of several processes none ends with one.
+
+    Tests of the core that need an annex are left out where it is missing.
+    """
     for item in items:
+        for mark in item.iter_markers("needs"):
+            if is_missing(mark.args[0]):
+                item.add_marker(pytest.mark.skip(f"without {mark.args[0]}"))
         if item.path.stem.removeprefix("test_") in SLOW.split():
             item.add_marker("slow")
     if "PYTEST_XDIST_WORKER" in os.environ:

@@ -4,9 +4,9 @@ import mitsuba as mi
 import mitsuba.chi2
 import pytest
 
-import gonio_mi.validation.testing
+import gonio_mi.testing
 
-MODULES = {"mitsuba": mitsuba.chi2, "gonio_mi": gonio_mi.validation.testing}
+MODULES = {"mitsuba": mitsuba.chi2, "gonio_mi": gonio_mi.testing}
 
 
 def outcome(module, adapter, *specimen, **more):
@@ -53,8 +53,8 @@ def test_of_a_phase_function():
 
 @pytest.mark.usefixtures("mono")
 def test_of_anything_else_stays_as_it_is():
-    test = gonio_mi.validation.testing.ChiSquareTest(
-        domain=gonio_mi.validation.testing.SphericalDomain(),
+    test = gonio_mi.testing.ChiSquareTest(
+        domain=gonio_mi.testing.SphericalDomain(),
         sample_func=mi.warp.square_to_uniform_sphere,
         pdf_func=mi.warp.square_to_uniform_sphere_pdf,
     )

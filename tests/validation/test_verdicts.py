@@ -19,6 +19,7 @@ import pytest
 from broken_bsdfs import EITHER, MISTAKES, RIGHT, judged
 
 from gonio_mi import SpecimenError, cli
+from gonio_mi.testing import assert_bsdf_valid
 from gonio_mi.threads import thread_count
 from gonio_mi.validation import POLARISED, PROPERTIES, save_report, validate
 from gonio_mi.validation.checks import cost, delta
@@ -29,7 +30,6 @@ from gonio_mi.validation.diagnosis import EXPLAINED_BY, likely_mistake
 from gonio_mi.validation.evidence import EFFECTS, Breach, Evidence
 from gonio_mi.validation.examination import coloured
 from gonio_mi.validation.samples import samples_of
-from gonio_mi.validation.testing import assert_bsdf_valid
 from gonio_mi.validation.verdict import Verdict, properties_of
 
 ALPHA = budget.ALPHA

@@ -26,7 +26,6 @@ import gonio_mi as gonio
 from gonio_mi import cli, files
 from gonio_mi.collector import subdivision
 from gonio_mi.errors import FileFormatError, printable, shortened, shown
-from gonio_mi.exchange.formats import radiance
 from gonio_mi.files import checks, npz, tensor_file, writing
 from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.results.summary import summarize
@@ -640,6 +639,7 @@ def test_whole_numbers_beyond_64_bits_are_one_sentence(capfd, name):
 CSV = "# quantity: brdf\n{key}theta_i,phi_i,theta_o,phi_o,value\n45,0,30,180,{value}\n"
 
 
+@pytest.mark.needs("exchange")
 @pytest.mark.parametrize("value", ["0_3", "\u0663", "0x1p-2", "1e", "1" * 2000])
 def test_numbers_of_python_are_none_of_csv(tmp_path, value):
     path = tmp_path / "table.csv"
@@ -651,6 +651,7 @@ def test_numbers_of_python_are_none_of_csv(tmp_path, value):
     assert fuzz.bad_sentence(caught.value) is None
 
 
+@pytest.mark.needs("exchange")
 @pytest.mark.parametrize(
     "key", ["scale_uncertainty", "uncertainty", "emitter_distance"]
 )
@@ -661,6 +662,7 @@ def test_absurd_keys_of_csv(tmp_path, key):
         gonio.read_measured(path)
 
 
+@pytest.mark.needs("exchange")
 def test_an_endless_line(tmp_path):
     path = tmp_path / "table.csv"
     for text in ("," * 10**6, '"' + "a" * 10**6, "a" * 10**6, "#" + "a:" * 10**6):
@@ -674,6 +676,7 @@ def test_an_endless_line(tmp_path):
         assert fuzz.bad_sentence(caught.value) is None
 
 
+@pytest.mark.needs("exchange")
 @pytest.mark.parametrize(
     ("old", "new", "reason"),
     [
@@ -683,6 +686,8 @@ def test_an_endless_line(tmp_path):
     ],
 )
 def test_klems_files_that_contradict_themselves(tmp_path, old, new, reason):
+    from gonio_mi.exchange.formats import radiance
+
     path = tmp_path / "klems.xml"
     blocks = {("Visible", "Reflection Back"): np.full((145, 145), 0.25)}
     with open(path, "wb") as stream:

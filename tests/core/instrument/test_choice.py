@@ -9,10 +9,8 @@ import plain_bsdf
 import pytest
 
 import gonio_mi as gonio
-from gonio_mi.analysis.comparison.measure_like import measure_like
 from gonio_mi.campaigns.execution import Surroundings
 from gonio_mi.instrument import choice
-from gonio_mi.materials.known_directions import KnownDirections
 from gonio_mi.results.summary import summarize
 from gonio_mi.results.summary_text import summary_text
 
@@ -138,8 +136,11 @@ def test_rays_cost_what_was_asked_for(monkeypatch):
     assert measured(groove(), rays=60_000, points=40).asked.points == 40
 
 
+@pytest.mark.needs("analysis")
 def test_records_are_merged_rendered_and_measured_again(tmp_path):
     """As those of any estimator: the record says which one it is."""
+    from gonio_mi.analysis.comparison.measure_like import measure_like
+
     one, other = (measured(groove(), rays=60_000, seed=seed) for seed in (1, 2))
     assert one.merge(other).provenance.batches == 32
     one.save(tmp_path / "one.exr")
@@ -153,8 +154,11 @@ def test_records_are_merged_rendered_and_measured_again(tmp_path):
     assert campaign["groove"][1].tallies == one.tallies
 
 
+@pytest.mark.needs("materials")
 def test_chosen_directions_choose_as_ever():
     """A whole material tries integrals, then rays; it is not told an estimator."""
+    from gonio_mi.materials.known_directions import KnownDirections
+
     where = Surroundings()
     auto, default = (
         KnownDirections("plate", DIFFUSE, 0.1, where, settings)

@@ -12,8 +12,6 @@ import pytest
 from gonio_mi.campaigns.measure import measure_whole
 from gonio_mi.cli import main
 from gonio_mi.errors import LostLightWarning
-from gonio_mi.validation.reproducers import source_of
-from gonio_mi.validation.versions.asking import Question
 
 BALL = {"type": "sphere", "bsdf": {"type": "diffuse"}}
 FEW = {"rays": 2000, "batches": 2, "collector": "projected:2x2"}
@@ -143,9 +141,13 @@ def test_a_bsdf_in_one_word_is_told_as_a_dictionary():
     assert "dictionary" not in str(told.value)
 
 
+@pytest.mark.needs("validation")
 @pytest.mark.usefixtures("mono")
 def test_a_refractive_index_may_be_an_integer():
     """Exact: the same light as of a float, and so nested, in scripts, for others."""
+    from gonio_mi.validation.reproducers import source_of
+    from gonio_mi.validation.versions.asking import Question
+
     whole = {"type": "dielectric", "int_ior": 2, "ext_ior": 1}
     real = {"type": "dielectric", "int_ior": 2.0, "ext_ior": 1.0}
     nested = {"type": "mask", "bsdf": whole}

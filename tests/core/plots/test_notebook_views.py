@@ -43,6 +43,8 @@ def test_warnings_stand_above_the_picture():
     assert shown.index("Warning: ") < shown.index("<img")
 
 
+@pytest.mark.needs("analysis")
+@pytest.mark.needs("validation")
 def test_comparison_plan_and_verdict():
     comparison = gonio.compare(synthetic.record(), synthetic.record(power=29))
     assert "<img" in comparison._repr_html_()
@@ -50,6 +52,8 @@ def test_comparison_plan_and_verdict():
     assert "|error| &lt; " in gonio.plan()._repr_html_()
 
 
+@pytest.mark.needs("analysis")
+@pytest.mark.needs("exchange")
 def test_fit_and_table(tmp_path):
     """A table shows what the command does; a name cannot be markup."""
     path = tmp_path / "<b>.csv"

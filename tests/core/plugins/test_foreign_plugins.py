@@ -236,6 +236,7 @@ def test_plugins_that_look_into_recorded_arguments_are_named(refusal):
     assert "foreign.py, line " in refusal("looked", "--trace")
 
 
+@pytest.mark.needs("validation")
 def test_a_verdict_names_the_method_that_is_missing(plugin, rgb):  # noqa: ARG001
     load_plugin_file(plugin)
     verdict = gonio.validate({"type": "foreign_lacking"}, effort="quick")

@@ -22,7 +22,6 @@ from gonio_mi.plugins.phong_facets import (
     averted_area_table,
     mean_cosine,
 )
-from gonio_mi.validation.checks.flags import LOBES
 
 EPS = 2.0**-24  # largest relative rounding error of a float32 operation
 RAYS = 10**6
@@ -240,7 +239,9 @@ def test_creation_flags_and_values(name):
     np.testing.assert_allclose(value, model_flux(name, wi, wo), rtol=bound)
 
 
-FLAGS = (*LOBES, "Anisotropic", "NonSymmetric", "FrontSide", "BackSide")
+KINDS = ("Diffuse", "Glossy", "Delta")
+LOBES = [kind + side for kind in KINDS for side in ("Reflection", "Transmission")]
+FLAGS = (*LOBES, "Null", "Anisotropic", "NonSymmetric", "FrontSide", "BackSide")
 
 
 def model_flux(name, wi, wo):

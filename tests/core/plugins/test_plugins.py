@@ -154,6 +154,7 @@ def test_examples_of_manual_pages_load_and_are_the_same(plugin, of):
     assert str(loaded) == str(mi.load_dict(ast.literal_eval("{" + python + "}")))
 
 
+@pytest.mark.needs("materials")
 def test_goniometric_asks_for_arrays(tmp_path):
     """In a scalar variant it says so, in one sentence."""
     variant = mi.variant()

@@ -5,7 +5,6 @@ import pytest
 import synthetic
 
 import gonio_mi as gonio
-from gonio_mi.analysis.comparison.pairing import labels
 from gonio_mi.errors import LABEL, abridged
 from gonio_mi.results.summary import summarize
 from gonio_mi.results.summary_text import summary_text
@@ -46,7 +45,10 @@ def test_a_record_holds_the_description_of_a_nested_specimen():
     assert ", ... light " in shown
 
 
+@pytest.mark.needs("analysis")
 def test_labels_of_specimens_that_differ_late():
+    from gonio_mi.analysis.comparison.pairing import labels
+
     name = "principled:base_color=0.2/0.3/0.4,metallic=0.3,anisotropic=0.25,roughness="
     one, two = (
         synthetic.record().with_settings(specimen=f"{name}{x}") for x in (0.4, 0.5)

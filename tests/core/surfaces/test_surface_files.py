@@ -352,6 +352,7 @@ def test_a_file_is_a_finite_specimen(ramp, capfd):
     assert f"alpha {np.sqrt(2) * 0.202 * 10:.4g} x 0\n" in said
 
 
+@pytest.mark.needs("analysis")
 @pytest.mark.usefixtures("mono")
 @pytest.mark.filterwarnings("ignore:the width of ramp.npy:RuntimeWarning")
 def test_a_file_is_a_finite_specimen_when_it_is_measured(tmp_path, capfd):

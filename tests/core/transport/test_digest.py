@@ -307,6 +307,7 @@ def test_a_folder_sees_the_data_of_bitmaps(tmp_path):
             gonio.measure(make(0.9), [30], **SETTINGS, folder=folder)
 
 
+@pytest.mark.needs("materials")
 @pytest.mark.usefixtures("mono")
 def test_a_folder_sees_the_files_that_a_specimen_names(tmp_path):
     def groove(depth):

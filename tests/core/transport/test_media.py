@@ -275,6 +275,7 @@ def test_what_media_do_not_have():
         measured(ball(medium()), emitter=emitter, theta_i=None)
 
 
+@pytest.mark.needs("validation")
 @pytest.mark.usefixtures("mono")
 def test_validate_judges_boundaries_alone():
     with pytest.raises(gonio.SpecimenError, match="validate judges BSDFs, got a shape"):

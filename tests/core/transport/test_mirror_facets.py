@@ -14,7 +14,6 @@ from specimens import MIRROR, heightfield, with_faces
 from gonio_mi.collector.directions import direction
 from gonio_mi.instrument.launcher import Launcher
 from gonio_mi.instrument.setup import set_up
-from gonio_mi.materials.interpolation.lobes import MeasuredLobes
 from gonio_mi.mitsuba_names import triangles_of
 from gonio_mi.settings import MeasurementSettings
 from gonio_mi.transport.mirror_facets import MirrorFacets, has_mirror_facets
@@ -173,8 +172,12 @@ def test_coverage(rays):
     disagree(often_enough(students if rays == 500 else halved))
 
 
+@pytest.mark.needs("materials")
+@pytest.mark.needs("exchange")
 def test_negative_sums_are_told_as_no_light(tmp_path):
     """Exact: in files too; their interval reaches above, and the total is of all."""
+    from gonio_mi.materials.interpolation.lobes import MeasuredLobes
+
     record = measured(
         mi.load_dict(field(0.5)), 30, rays=256, collector="projected:20x20"
     )

@@ -261,6 +261,8 @@ def test_intervals_cover_degrees_of_polarisation(facets):
     disagree(often_enough(other))
 
 
+@pytest.mark.needs("analysis")
+@pytest.mark.needs("exchange")
 def test_a_record_is_all_there(tmp_path):
     """Files, Stokes vectors, and what is refused, each in one sentence."""
     record = gonio.measure(ROUGH, [0, 50], 20, rays=2**13, **STATISTICAL)

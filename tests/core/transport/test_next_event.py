@@ -23,7 +23,6 @@ from budget import (
 from scipy import stats
 from specimens import MIRROR, as_it_is, grooves, heightfield, specimen_of
 
-from gonio_mi.analysis import charts as charting
 from gonio_mi.collector.directions import direction
 from gonio_mi.errors import SpecimenError
 from gonio_mi.instrument.loading import load_specimen
@@ -353,6 +352,7 @@ def test_bad_settings_are_one_sentence(settings, message):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.needs("analysis")
 def test_a_chart_compares_it_on_geometry_only():
     names = ["weighted", "next_event"]
     settings = {
@@ -361,9 +361,9 @@ def test_a_chart_compares_it_on_geometry_only():
         "seconds": 0.01,
         "repeats": 2,
     }
-    chart = charting.chart(field(GREY), 30, period="box", collector=GRID, **settings)
+    chart = gonio.chart(field(GREY), 30, period="box", collector=GRID, **settings)
     assert [curve.estimator for curve in chart.curves] == names
-    flat = charting.chart({"type": "diffuse"}, 30, collector=GRID, **settings)
+    flat = gonio.chart({"type": "diffuse"}, 30, collector=GRID, **settings)
     assert [curve.estimator for curve in flat.curves] == ["weighted"]
 
 

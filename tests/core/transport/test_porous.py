@@ -16,7 +16,6 @@ from blinds import Bar, Slat, direct_share, follow, shapes
 from budget import Verdict, agree, disagree, normal_scores, single, verdict
 from scipy import stats
 
-from gonio_mi.exchange.exports import export
 from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.results.summary import summarize
 from gonio_mi.results.summary_text import summary_text
@@ -394,7 +393,11 @@ def test_files_keep_direct_light(tmp_path, ending):
     )
 
 
+@pytest.mark.needs("materials")
+@pytest.mark.needs("exchange")
 def test_exports_are_not_silent(tmp_path):
+    from gonio_mi.exchange.exports import export
+
     screen = plate(0.5, 0.5)
     settings = {"rays": 20_000, "collector": GRID}
     missed = gonio.measure(screen, [0, 40], **settings, footprint=0.9)

@@ -278,6 +278,7 @@ def test_emitter_that_is_dark_there():
         np.testing.assert_allclose(record.dhr, 0.5, rtol=1e-6)
 
 
+@pytest.mark.needs("materials")
 @pytest.mark.usefixtures("spectral")
 def test_records_as_materials(tmp_path):
     """A record of some wavelengths holds between them."""

@@ -20,7 +20,6 @@ from gonio_mi.collector.directions import direction
 from gonio_mi.errors import SettingError, SpecimenError
 from gonio_mi.instrument import launcher, measure, schedule
 from gonio_mi.instrument.measure import measure_each
-from gonio_mi.materials import whole_bsdf
 from gonio_mi.transport import surface_points
 
 pytestmark = pytest.mark.usefixtures("mono")
@@ -232,9 +231,12 @@ def test_is_not_resumed():
         )
 
 
+@pytest.mark.needs("materials")
 @pytest.mark.parametrize("pays", [True, False])
 def test_a_campaign_takes_it_where_it_pays(pays, monkeypatch):
     """Where it is refused from the start, rays measure all."""
+    from gonio_mi.materials import whole_bsdf
+
     monkeypatch.setattr(schedule, "PILOT_RAYS", 2**12)
     monkeypatch.setattr(whole_bsdf, "N_UNSEEN", 4)
     monkeypatch.setattr(surface_points, "MAX_POINTS_NOISE2", np.inf if pays else 0.0)
@@ -244,8 +246,11 @@ def test_a_campaign_takes_it_where_it_pays(pays, monkeypatch):
     assert str(record.asked.estimator) == ("split" if pays else "weighted")
 
 
+@pytest.mark.needs("materials")
 def test_a_campaign_keeps_what_it_found(monkeypatch):
     """Where a round is refused late, rays tell it, and no other one anew."""
+    from gonio_mi.materials import whole_bsdf
+
     setups, refusals, found = [], [], measure.single_scattering
 
     def refused(some, report):

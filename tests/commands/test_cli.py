@@ -1165,13 +1165,13 @@ def test_the_command_line_works_in_any_thread(tmp_path, capsys):
 )
 def test_lowest_versions_are_those_that_numpy_2_loads_with(package, first):
     """Tried one by one, each beside NumPy 2.0.2: the one before fails on import."""
-    text = (Path(__file__).parents[3] / "pyproject.toml").read_text()
+    text = (Path(__file__).parents[2] / "pyproject.toml").read_text()
     assert '"numpy>=2"' in text
     assert set(re.findall(f'"{package}>=([^"]+)"', text)) == {first}
 
 
 def test_console_script_is_this_one():
-    text = (Path(__file__).parents[3] / "pyproject.toml").read_text()
+    text = (Path(__file__).parents[2] / "pyproject.toml").read_text()
     assert 'gonio-mi = "gonio_mi.cli:main"' in text
 
 
@@ -1208,7 +1208,7 @@ def test_plan_bad_input(run, arguments, message):
 
 @pytest.mark.parametrize("option", [("--side", "back"), ("--phi-i", "90")])
 def test_what_the_scenes_emitter_decides_is_refused(run, option):
-    scene = Path(__file__).parents[3] / "scenes" / "lambertian.xml"
+    scene = Path(__file__).parents[2] / "scenes" / "lambertian.xml"
     code, _, err = run("measure", scene, *option)
     assert code == 1
     name = option[0].removeprefix("--").replace("-", "_")
