@@ -12,7 +12,7 @@ import mitsuba as mi
 from ..annexes import doors
 from ..transport.kernels import know_own_variant, orderly
 
-__all__ = ["MODULES", "register"]
+__all__ = ["MODULES", "modules", "register"]
 
 # In the order of registration: a module comes after those whose plugins it looks up,
 # and those of annexes after ours.
@@ -29,15 +29,19 @@ MODULES = (
 )
 
 
+def modules() -> list[str]:
+    """Qualified names of the modules of all plugins, in the order of registration."""
+    ours = [f"{__name__}.{name}" for name in MODULES]
+    return ours + [f"{annex}.{name}" for annex, door in doors() for name in door.PLUGINS]
+
+
 def register() -> None:
     """Register every plugin for the current variant.
 
     The plugin modules bind Mitsuba's types when they are run, so that they are run
     again for each variant.
     """
-    modules = [f"{__name__}.{name}" for name in MODULES]
-    modules += [f"{annex}.{name}" for annex, door in doors() for name in door.PLUGINS]
-    for qualified in modules:
+    for qualified in modules():
         if qualified in sys.modules:
             importlib.reload(sys.modules[qualified])
         else:

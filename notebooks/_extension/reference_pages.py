@@ -7,14 +7,12 @@ own are; ``gonio-commands`` the help of all commands.
 import importlib
 import inspect
 import re
-from pathlib import Path
 from typing import Any
 
 from docutils import nodes
 from docutils.parsers.rst import Directive, roles
 from docutils.statemachine import StringList
 
-FAMILIES = ("integrators", "sensors", "films", "samplers", "shapes", "bsdfs")
 VARIANT = "llvm_ad_mono"  # plugins are classes of one; their texts are the same in all
 
 
@@ -72,18 +70,13 @@ class GonioPlugins(Directive):
     def run(self) -> list[nodes.Node]:
         import mitsuba as mi
 
-        import gonio_mi
+        from gonio_mi import plugins
 
         mi.set_variant(VARIANT)
-        folder = Path(gonio_mi.__file__).parent / "plugins"
-        found = sorted(
-            folder.glob("*/*.py"), key=lambda path: FAMILIES.index(path.parent.name)
-        )
-        return [self.page(path) for path in found if path.stem != "__init__"]
+        return [self.page(name) for name in reversed(plugins.modules())]
 
-    def page(self, path: Path) -> nodes.section:
-        """Section of the plugin in one file."""
-        name = f"gonio_mi.plugins.{path.parent.name}.{path.stem}"
+    def page(self, name: str) -> nodes.section:
+        """Section of the plugin in one module."""
         module = importlib.import_module(name)
         text = next(
             inspect.getdoc(thing)
@@ -91,7 +84,7 @@ class GonioPlugins(Directive):
             if getattr(thing, "__module__", "") == name
             and ".. pluginparameters::" in (thing.__doc__ or "")
         )
-        return section(path.stem, parsed(self, (text or "").splitlines()))
+        return section(name.rpartition(".")[2], parsed(self, (text or "").splitlines()))
 
 
 class GonioCommands(Directive):
