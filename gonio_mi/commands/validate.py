@@ -25,6 +25,7 @@ from .arguments import (
     sentence,
     set_variant,
     specimen_of,
+    tell,
     tell_json,
 )
 from .parser import Parser
@@ -89,7 +90,7 @@ def run(options: argparse.Namespace) -> int:
         answer["skipped"] = skipped
         tell_json(answer)
     else:
-        print(told(verdict, others, skipped))
+        tell(told(verdict, others, skipped))
     if verdict.undecided:
         return UNDECIDED
     return DONE if verdict.passed else FAILED

@@ -270,7 +270,7 @@ class Specimen:
             mask = mi.Bool(active)
             first = self.scene.ray_intersect_preliminary(ray, active=mask)
             ray.o = ray(first.t + step)
-            back = mi.Ray3f(ray.o, -ray.d, 2 * step, 0.0, [])
+            back = mi.Ray3f(mi.Ray3f(ray.o, -ray.d), 2 * step)
             last = self.scene.ray_intersect_preliminary(back, active=mask)
             dr.eval(ray, first, last)
             seen = [one.is_valid().numpy() for one in (first, last)]
