@@ -46,6 +46,7 @@ ROOMS = (
     "commands",
     "pytest_entry",
     "cli",
+    "__main__",
 )
 
 # Physics and files that a reader can check, and use, without a renderer.
