@@ -297,7 +297,7 @@ def _integrated(
     _check_converged(evaluator, np.sqrt(sums.square), allowed, integral_err)
     shape = (len(lights), -1, *subdivision.shape, coarse.shape[-1])
     flux = sums.flux.reshape(shape)
-    error = np.hypot(sums.error, INTEGRAL_ROUNDING * sums.flux).reshape(shape)
+    error = (sums.error + INTEGRAL_ROUNDING * sums.flux).reshape(shape)
     counts = evaluator.n_evaluations.tolist()
     return [
         PatchIntegrals(subdivision, flux[n], error[n], counts[n], finished, n, light)
