@@ -85,6 +85,13 @@ def no_file(path: str | os.PathLike[str]) -> str:
     return f"there is no file {printable(os.fspath(path))}"
 
 
+def check_regular(path: str | os.PathLike[str]) -> None:
+    """Raise FileFormatError for a pipe or device, which may have no end."""
+    if os.path.exists(path) and not (os.path.isfile(path) or os.path.isdir(path)):
+        name = printable(os.fspath(path))
+        raise FileFormatError(f"{name} is no file to read, but a pipe or a device")
+
+
 def _without_middle(text: str, longest: int) -> str:
     """Beginning and end of a text, which tell more than its middle."""
     if len(text) <= longest:

@@ -15,7 +15,16 @@ INTERRUPTED = 130  # as shells count: 128 and the number of SIGINT
 
 
 def begin() -> None:
-    """Let Ctrl-C end the process while it imports; NumPy gets no threads."""
+    """Let Ctrl-C end the process while it imports; NumPy gets no threads.
+
+    Raises
+    ------
+    FileNotFoundError, SystemExit
+        If Mitsuba, which would abort the process, is to be loaded in a folder that was
+        deleted; the latter for the program.
+    """
+    if needs_mitsuba():
+        _check_folder()
     if not _is_program():
         return
     # its matrices are small here, and threads that wait for them take CPU time
@@ -38,6 +47,17 @@ def end() -> None:
     """Let Ctrl-C raise KeyboardInterrupt again."""
     if signal.getsignal(signal.SIGINT) is _leave:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _check_folder() -> None:
+    """Raise unless the working folder exists."""
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        text = "the working folder was deleted: change to another one"
+        if _is_program():
+            sys.exit(f"{PROGRAM}: {text}")
+        raise FileNotFoundError(text) from None
 
 
 def _is_program() -> bool:

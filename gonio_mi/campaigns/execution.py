@@ -30,6 +30,7 @@ from typing import Any
 
 from ..errors import SettingError, warn
 from ..progress import bar
+from ..results.provenance import DIGESTS
 from ..results.record import Record
 from .folder import CampaignFolder
 from .tasks import TASKS, Task, check_picklable, run_task, tasks_of
@@ -116,11 +117,6 @@ def _check_specimens(
     tasks: Sequence[Task], done: Mapping[int, Record], folder: Path
 ) -> None:
     """Raise ValueError if finished records are of specimens that have changed since."""
-    things = {
-        "digest": "the specimen",
-        "emitter_digest": "the emitter",
-        "plugin_digest": "the Python code",
-    }
     names = {}
     for task in tasks:
         if task.number in done:
@@ -131,7 +127,7 @@ def _check_specimens(
                 if found != own:
                     raise SettingError(
                         f"folder must hold this very campaign, but in {folder} "
-                        f"{things[key]} of {task.name} was another: its digest is "
+                        f"{DIGESTS[key]} of {task.name} was another: its digest is "
                         f"{found} instead of {own}; take another folder"
                     )
 

@@ -273,5 +273,5 @@ def folder_name(name: str) -> str:
 
     What tells names apart that would be written alike is behind it.
     """
-    digest = hashlib.blake2s(name.encode(), digest_size=4).hexdigest()
+    digest = hashlib.blake2s(os.fsencode(name), digest_size=4).hexdigest()
     return f"{re.sub(r'[^A-Za-z0-9.,=+-]+', '_', name)[:80]}_{digest}"

@@ -3,7 +3,7 @@
 import os
 from os import PathLike
 
-from ..errors import FileFormatError, no_file
+from ..errors import FileFormatError, check_regular, no_file
 from ..results.record import Record
 from . import exr, npz
 from .checks import check_record
@@ -74,6 +74,7 @@ def _loaded(path: str | PathLike[str], added_up: bool) -> Record:
     ending = checked_ending(path, ENDINGS)
     if not os.path.exists(path):
         raise FileNotFoundError(no_file(path))
+    check_regular(path)
     with open(path, "rb") as stream:
         try:
             record = FORMATS[ending].read(stream, added_up)

@@ -1,5 +1,6 @@
 """From what a user calls a specimen to a Mitsuba scene, and the files that it names."""
 
+import contextlib
 import importlib
 import importlib.util
 import linecache
@@ -8,7 +9,7 @@ import re
 import sys
 import warnings
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -46,6 +47,12 @@ PLUGINS = (".so", ".dylib", ".dll", ".py")
 
 # Parameters whose names compilers put into the code of plugins, out of sight.
 INLINED = {"ext_ior", "flip_normals", "int_ior", "k"}
+
+# Plugins that end the process without a property: what they need, and by which names.
+NEEDS: dict[str, tuple[str, set[str]]] = {
+    "blendbsdf": ("a weight and two nested BSDFs", set()),
+    "bitmap": ("a filename or a bitmap", {"filename", "bitmap", "data"}),
+}
 
 # Loads at most, to find the parameters of a plugin: roughplastic needs 45.
 MAX_TRIALS = 64
@@ -89,8 +96,8 @@ def existing(specimen: str | os.PathLike[str]) -> Path:
     path = Path(specimen)
     if not path.is_file():
         word = os.fspath(specimen)
-        if path.parent == Path.cwd():
-            word = path.name
+        with contextlib.suppress(OSError):  # the folder may be gone
+            word = path.name if path.parent == Path.cwd() else word
         hint = ""
         if re.fullmatch(r"[A-Za-z_]\w+(:\s*\w+\s*=.*)?", word):
             hint = f"; a BSDF is a dictionary such as {parse_specimen(word)!r}"
@@ -182,7 +189,7 @@ def loaded(what: str, load: Callable[..., Any], *args: Any, **kwargs: Any) -> An
         kwargs |= {"parallel": False}
     try:
         for argument in args:
-            _check_whole_numbers(argument)
+            _check_properties(argument)
         with two_threads():
             given = (with_own_tensors(with_real_indices(one)) for one in args)
             return load(*given, **kwargs)
@@ -304,13 +311,31 @@ def with_own_tensors(node: Any) -> Any:
     return type(node)(node) if dr.is_tensor_v(node) else node
 
 
-def _check_whole_numbers(node: Any) -> None:
-    """Raise ValueError for what has no type in Mitsuba, which prints lines of it."""
+def _check_properties(node: Any) -> None:
+    """Raise ValueError for what has no type in Mitsuba, which prints lines of it.
+
+    Or is no text, or would end the process.
+    """
+    if isinstance(node, str) and not node.isascii():
+        try:
+            node.encode()
+        except UnicodeEncodeError:
+            raise SpecimenError(
+                f"names of files must be UTF-8, got {shown(node)}: rename it"
+            ) from None
     if isinstance(node, dict):
+        _check_complete(node.get("type"), node.keys() - {"type", "id"})
         for key, value in node.items():
             if isinstance(value, int) and not -(2**63) <= value < 2**63:
                 raise SettingError(f"{key} must be below 2^63, got {shown(value)}")
-            _check_whole_numbers(value)
+            _check_properties(value)
+
+
+def _check_complete(plugin: Any, names: Collection[str | None]) -> None:
+    """Raise SpecimenError for a plugin that has none of the properties it needs."""
+    needs, some = NEEDS.get(str(plugin), ("", set()))
+    if needs and (not names or (some and some.isdisjoint(names))):
+        raise SpecimenError(f"{plugin} must be given {needs}, got none of them")
 
 
 def _one_line(error: object) -> str:
@@ -406,7 +431,8 @@ def surface_specimen(
 
 # -------------------------------------------------------------------------- named files
 
-# Scene files may include others; no more than this many deep.
+
+# Scene files may include others; Mitsuba takes no more than this many deep.
 MAX_INCLUDES = 15
 
 
@@ -442,7 +468,7 @@ def check_named_files(
     if isinstance(specimen, Mapping):
         names = _dictionary_names(specimen)
     else:
-        names = _scene_names(Path(specimen), dict(parameters or {}), MAX_INCLUDES)
+        names = _scene_names(Path(specimen), dict(parameters or {}))
     for name in names:
         path = Path(str(mi.file_resolver().resolve(str(name))))
         if path.is_file():
@@ -467,24 +493,35 @@ def _dictionary_names(node: Mapping[str, Any]) -> Iterator[str | Path]:
 
 
 def _scene_names(
-    path: Path, parameters: dict[str, str], depth: int
+    path: Path, parameters: dict[str, str], within: tuple[Path, ...] = ()
 ) -> Iterator[str | Path]:
-    """File names in a scene file and those that it includes, beside it if there."""
+    """File names in a scene file and those that it includes, beside it if there.
+
+    SpecimenError if a file includes itself, or a plugin would end the process.
+    """
+    path = path.resolve()
+    if path in within:
+        raise SpecimenError(
+            f"a scene file must not include itself, but {path.name} is included by "
+            f"{within[-1].name}"
+        )
+    if len(within) > MAX_INCLUDES:
+        return
     try:
         root = ElementTree.parse(path).getroot()
     except (ElementTree.ParseError, OSError, ValueError, LookupError):
         return
     for default in root.iter("default"):
         parameters.setdefault(default.get("name", ""), default.get("value", ""))
-    for bsdf in root.iter():
-        if bsdf.get("type") == "measured":
-            for child in bsdf.iter("string"):
+    for plugin in root.iter():
+        _check_complete(plugin.get("type"), [child.get("name") for child in plugin])
+        if plugin.get("type") == "measured":
+            for child in plugin.iter("string"):
                 if child.get("name") == "filename":
                     yield _beside(path, child.get("value", ""), parameters)
     for include in root.iter("include"):
-        other = _beside(path, include.get("filename", ""), parameters)
-        if depth:
-            yield from _scene_names(Path(other), parameters, depth - 1)
+        other = Path(_beside(path, include.get("filename", ""), parameters))
+        yield from _scene_names(other, parameters, (*within, path))
 
 
 def _beside(path: Path, name: str, parameters: Mapping[str, str]) -> str | Path:

@@ -17,6 +17,7 @@ from ..errors import (
     checked_choice,
     checked_number,
     no_file,
+    number_of,
     shown,
     warn,
 )
@@ -108,8 +109,11 @@ def mesh(
         del shape["face_normals"]
     lying = loaded(f"the mesh {path}", mi.load_dict, dict(shape))
     corners = np.array(bounds([lying]))
-    if not np.isfinite(corners).all():
-        raise SpecimenError("the mesh must have triangles and finite vertices")
+    if not (lying.face_count() and np.isfinite(corners).all()):
+        raise SpecimenError(
+            f"the mesh {path.name} must have triangles and finite vertices, got "
+            f"{number_of(lying.face_count(), 'triangle')}"
+        )
     if normal is None:
         _warn_if_upright(path.name, corners[1] - corners[0])
     rotation = np.array(NORMALS[normal or "z"], dtype=float)

@@ -158,7 +158,7 @@ def _check_specimen(specimen: Specimen, settings: MeasurementSettings) -> None:
         check_covered([*bsdfs, *specimen.media], settings.wavelengths)
     if specimen.media:
         check_media(specimen, lanes, settings.estimator)
-        _find_defects(specimen, settings.wavelengths[:4], lanes[0])
+    _find_defects(specimen, settings.wavelengths[:4], lanes[0])
 
 
 def _find_defects(specimen: Specimen, nm: tuple[float, ...], lanes: Any) -> None:
@@ -172,7 +172,7 @@ def _find_defects(specimen: Specimen, nm: tuple[float, ...], lanes: Any) -> None
     if key not in _defects:
         box = specimen.low, specimen.high
         found = filter(None, (phase_defect(phase, lanes, *box) for phase in phases))
-        sentences = list(dict.fromkeys(found))
+        sentences = list(dict.fromkeys([*specimen.thin_gaps(), *found]))
         for sentence in sentences:
             warn(sentence)
         _defects[key] = sentences

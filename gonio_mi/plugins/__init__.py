@@ -32,7 +32,9 @@ MODULES = (
 def modules() -> list[str]:
     """Qualified names of the modules of all plugins, in the order of registration."""
     ours = [f"{__name__}.{name}" for name in MODULES]
-    return ours + [f"{annex}.{name}" for annex, door in doors() for name in door.PLUGINS]
+    return ours + [
+        f"{annex}.{name}" for annex, door in doors() for name in door.PLUGINS
+    ]
 
 
 def register() -> None:

@@ -43,11 +43,14 @@ class IncidentLight:
         The directions, in its frame.
     side : int
         1 if the front is lit, -1 if the back is.
+    rounding : ndarray, shape (n_directions,)
+        By how much single precision moves each of them, in radians.
     """
 
     interaction: mi.SurfaceInteraction3f
     wi: mi.Vector3f
     side: int
+    rounding: Floats
 
     @classmethod
     def of(
@@ -66,7 +69,8 @@ class IncidentLight:
         si = square() if interaction is None else mi.SurfaceInteraction3f(interaction)
         wi = si.to_local(mi.Vector3f(np.ascontiguousarray(towards.T)))
         dr.make_opaque(wi)
-        return cls(si, wi, sign)
+        rounding = np.linalg.norm(towards - towards.astype(np.float32), axis=1)
+        return cls(si, wi, sign, rounding)
 
     def from_number(self, number: mi.UInt32) -> mi.SurfaceInteraction3f:
         """Interaction with the light of that number in each lane."""

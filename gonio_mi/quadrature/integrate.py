@@ -108,7 +108,8 @@ class PatchIntegrals:
     flux : ndarray of float64, shape (n_hemispheres, n_theta, n_phi, channels)
     error : ndarray, same shape
         Estimated absolute error of `flux`: the differences of all cells added up, as if
-        none cancelled, from coarser cells and from a rule of other points.
+        none cancelled, from coarser cells and from a rule of other points, and what
+        single precision leaves of values and directions.
     n_evaluations : int
     together : sequence of (Cells, ndarray of bool)
         Cells of each level, of all directions that shared kernels, and which of them
@@ -282,10 +283,11 @@ def _integrated(
         too_many = 4 * NODES_PER_CELL * 4 * n_next > MAX_EVALUATIONS
         open_cells &= ~(too_many | (level == MAX_LEVELS - 1))[cells.direction]
         children = np.repeat(open_cells, 4)
-        for chosen in (sharp, ~sharp & ~open_cells):
-            sums.add(
-                cells.patch[chosen], values[chosen], difference[chosen], ~sharp[chosen]
-            )
+        done = ~open_cells
+        # others count as wrong by all of their step
+        shift = evaluator.light.rounding[cells.direction[done]] * smooth[done]
+        moved = shift[:, None] * _moved(cells[done], values[done], values_at[done])
+        sums.add(cells.patch[done], values[done], difference[done], moved, ~sharp[done])
         finished.append((parts, ~children))
         if not open_cells.any():
             break
@@ -295,7 +297,7 @@ def _integrated(
     _check_converged(evaluator, np.sqrt(sums.square), allowed, integral_err)
     shape = (len(lights), -1, *subdivision.shape, coarse.shape[-1])
     flux = sums.flux.reshape(shape)
-    error = np.hypot(sums.error, INTEGRAL_ROUNDING * sums.flux).reshape(shape)
+    error = (sums.error + INTEGRAL_ROUNDING * sums.flux).reshape(shape)
     counts = evaluator.n_evaluations.tolist()
     return [
         PatchIntegrals(subdivision, flux[n], error[n], counts[n], finished, n, light)
@@ -332,6 +334,25 @@ def _swing(values_at: Singles, cells: Cells, chosen: Flags) -> Floats:
     return swing * cells.area[chosen, None] / 4
 
 
+def _moved(cells: Cells, values: Floats, values_at: Singles) -> Floats:
+    """What a lobe that moves brings into quartered cells, for each radian.
+
+    It moves with an incident direction that is rounded; the rounding of the points'
+    directions evens out, and what changes with the cosine of the polar angle stays.
+    """
+    n, channels = values.shape
+    side = NODES_PER_CELL // 4
+    # half, half, node, node: of polar angle and azimuth
+    at = values_at.reshape(n, 2, 2, side, side, channels)
+    theta, phi = (
+        (at.max(axis=along) - at.min(axis=along)).mean(axis=(1, 2), dtype=float)
+        for along in ((1, 3), (2, 4))
+    )
+    theta -= cells.cosine_change[:, None] * values / cells.area[:, None]
+    across, along = (length[:, None] for length in cells.lengths)
+    return np.maximum(theta, 0) * along + phi * across
+
+
 class _PatchSums:
     """Sums over the finished cells of each patch.
 
@@ -362,14 +383,20 @@ class _PatchSums:
         return integral_err * np.maximum(of_each, least).reshape(estimate.shape)
 
     def add(
-        self, patch: Integers, values: Floats, difference: Floats, counted: Flags
+        self,
+        patch: Integers,
+        values: Floats,
+        difference: Floats,
+        moved: Floats,
+        counted: Flags,
     ) -> None:
         """Add the integrals over finished cells, and what they may be wrong by.
 
-        Where single precision ends, no convergence is asked: it is not `counted`.
+        Of that no convergence is asked where single precision ends, which is not
+        `counted`, nor of what rounded directions have `moved`.
         """
         self.flux += self._by_patch(patch, values)
-        self.error += self._by_patch(patch, difference)
+        self.error += self._by_patch(patch, difference + moved)
         self.square += self._by_patch(patch, counted[:, None] * difference**2)
 
     def _by_patch(self, patch: Integers, values: Numbers) -> Numbers:

@@ -267,10 +267,24 @@ class Provenance:
         return both.joined([self, other])
 
 
+# What digests are of.
+DIGESTS = {
+    "digest": "the specimen",
+    "emitter_digest": "the emitter",
+    "plugin_digest": "the Python code",
+}
+
+
 def check_alike(a: Settings, b: Settings, free: Collection[str], purpose: str) -> None:
     """Raise ValueError unless all settings agree, but for those that are `free`."""
     for key in sorted((a.keys() | b.keys()) - set(free)):
         if a.get(key) != b.get(key):
+            if key in DIGESTS:
+                raise SettingError(
+                    f"records must agree in {DIGESTS[key]} to be {purpose}, but it was "
+                    f"edited between them, or is another: {key} {shown(a.get(key))} "
+                    f"and {shown(b.get(key))}"
+                )
             raise SettingError(
                 f"records must agree in {key} to be {purpose}, got "
                 f"{shown(a.get(key))} and {shown(b.get(key))}"

@@ -253,6 +253,24 @@ def walls_in_sides(
     ]
 
 
+def in_one_plane(shapes: Sequence[mi.Shape], near: float) -> bool:
+    """Whether two shapes overlap in one plane across an axis, and light passes one."""
+    low, high = np.transpose([_box(shape) for shape in shapes], (1, 0, 2))
+    for n in np.flatnonzero([*map(transmits, shapes)]):
+        overlap = np.minimum(high, high[n]) - np.maximum(low, low[n])
+        thick = np.maximum(high - low, high[n] - low[n])
+        both = ((overlap > near) | (thick == 0) & (overlap == 0)).all(axis=1)
+        both[n] = False
+        if (both & (thick == 0).any(axis=1)).any():
+            return True
+    return False
+
+
+def transmits(shape: mi.Shape) -> bool:
+    """Whether the BSDF of a shape declares that light may pass."""
+    return mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Transmission)
+
+
 def refracts(shape: mi.Shape) -> bool:
     """Whether light that passes is bent: no mask, and no thin sheet."""
     flags = shape.bsdf().flags()
@@ -263,10 +281,7 @@ def refracts(shape: mi.Shape) -> bool:
 
 def encloses_medium(shape: mi.Shape) -> bool:
     """Whether light may pass it into a medium, or out of one."""
-    flags = shape.bsdf().flags()
-    return shape.is_medium_transition() and mi.has_flag(
-        flags, mi.BSDFFlags.Transmission
-    )
+    return shape.is_medium_transition() and transmits(shape)
 
 
 def _has_walls(shape: mi.Shape, low: Floats, high: Floats) -> bool:

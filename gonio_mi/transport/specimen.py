@@ -11,6 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..array_types import Integers
 from ..errors import SpecimenError, abridged, warn
 from ..mitsuba_names import SURFACE
 from ..settings.values import Period
@@ -18,21 +19,27 @@ from .digest import digest
 from .kernels import in_memory
 from .media import media_of
 from .plane import Plane
-from .rays import START, escapes, intersect
+from .rays import RETREAT, START, SURFACE_OFFSET, escapes, intersect
 from .scene_objects import holds_foreign_plugins
 from .shapes import (
     bounds,
     encloses_medium,
     groups_of,
+    in_one_plane,
     is_height_map,
     refracts,
     scene_of,
     surfaces_of,
+    transmits,
     walls_in_sides,
 )
 
-# Rays that look for a gap.
+# Rays that look for gaps, surfaces that each of them passes, and the part of them that
+# meets thin ones from which on it is worth a warning: near the edges of rough glass
+# some do.
 N_POINTS = 2**12
+MAX_PASSED = 16
+MAX_THIN = 2.0**-9
 
 # Characters of a BSDF's description in the record: nested ones of principled have 1500.
 MAX_DESCRIPTION = 4000
@@ -148,10 +155,7 @@ class Specimen:
             self._check_walls()
         self._check_extent()
         self.box = Box(self)
-        self.closed_to_light = not any(
-            mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Transmission)
-            for shape in self.surfaces
-        )
+        self.closed_to_light = not any(map(transmits, self.surfaces))
         traced = self.periodic or self.media
         self.plane: Any = None if traced else self._plane(shapes)
         if self.plane is None:
@@ -205,16 +209,81 @@ class Specimen:
         """
         if not self.closed_to_light:
             return False
+        active = mi.Bool(True)
+        free = escapes(self, 1, self._rays(1), mi.Normal3f(0), mi.Float(0), active)
+        return not dr.any(free)
+
+    def _rays(self, side: int) -> mi.Ray3f:
+        """A few thousand rays from above or below (-1), all over the box."""
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(0, N_POINTS)
         x, y = sampler.next_2d()
-        (top,) = in_memory([self.high[2] + self.reach * START])
+        face = self.high if side > 0 else self.low
+        (z,) = in_memory([face[2] + side * self.reach * START])
         low, extent = self.box.low, self.box.period
-        start = mi.Point3f(low[0] + x * extent[0], low[1] + y * extent[1], top)
-        down = -mi.warp.square_to_cosine_hemisphere(sampler.next_2d())
-        ray, active = mi.Ray3f(start, down), mi.Bool(True)
-        free = escapes(self, 1, ray, mi.Normal3f(0), mi.Float(0), active)
-        return not dr.any(free)
+        start = mi.Point3f(low[0] + x * extent[0], low[1] + y * extent[1], z)
+        d = mi.warp.square_to_cosine_hemisphere(sampler.next_2d())
+        ray = mi.Ray3f(start, -side * d)
+        dr.eval(ray)
+        return ray
+
+    def thin_gaps(self) -> list[str]:
+        """Sentence on surfaces so near to another that light may pass it unseen.
+
+        None if there are none, or if no light gets between them.
+        """
+        if self.closed_to_light or self.plane is not None:
+            return []
+        flat = all(
+            isinstance(shape, mi.Mesh) and not shape.has_vertex_normals()
+            for shape in self.surfaces
+        )
+        least = (self.detail + self.reach) * (RETREAT if flat else SURFACE_OFFSET)
+        share = max(self._thin(self._rays(side), least) for side in (1, -1))
+        if share >= MAX_THIN:
+            apart, where = f"less than {least:.2g} scene units", f"{share:.2g} of rays"
+        elif not self.groups and in_one_plane(self.surfaces, least):
+            apart, where = "0 scene units", "some rays"
+        else:
+            return []
+        return [
+            f"{where} meet two surfaces {apart} apart, which is too little for single "
+            "precision: light may pass one of them unseen; move them further apart, or "
+            "describe both by one BSDF"
+        ]
+
+    def _thin(self, ray: mi.Ray3f, least: float) -> float:
+        """Part of the rays that pass a gap of less than `least`.
+
+        They go straight on through all that transmits. Looking back from `least` behind
+        each surface that they meet, they see the same one if there is no gap.
+        """
+        through = {
+            _number(mi.ShapePtr(shape))[0]
+            for shape in self.surfaces
+            if transmits(shape)
+        }
+        thin, met = np.zeros((2, N_POINTS), bool)
+        active = np.ones(N_POINTS, bool)
+        (step,) = in_memory([least])
+        for _ in range(MAX_PASSED):
+            mask = mi.Bool(active)
+            first = self.scene.ray_intersect_preliminary(ray, active=mask)
+            ray.o = ray(first.t + step)
+            back = mi.Ray3f(mi.Ray3f(ray.o, -ray.d), 2 * step)
+            last = self.scene.ray_intersect_preliminary(back, active=mask)
+            dr.eval(ray, first, last)
+            seen = [one.is_valid().numpy() for one in (first, last)]
+            shapes = [_number(one.shape) for one in (first, last)]
+            faces = [one.prim_index.numpy() for one in (first, last)]
+            passed = [np.isin(numbers, [*through]) for numbers in shapes]
+            other = (shapes[0] != shapes[1]) | (faces[0] != faces[1])
+            met |= seen[0]
+            thin |= seen[0] & seen[1] & other & (passed[0] | passed[1])
+            active = seen[0] & passed[0]
+            if not active.any():
+                break
+        return float(thin.sum() / max(met.sum(), 1))
 
     @cached_property
     def is_height_map(self) -> bool:
@@ -289,6 +358,11 @@ class Specimen:
         dr.make_opaque(si)
         bsdf = shapes[0].bsdf()
         return Plane(bsdf, si, by_ray=holds_foreign_plugins(bsdf))
+
+
+def _number(shapes: mi.ShapePtr) -> Integers:
+    """What tells shapes from others."""
+    return dr.reinterpret_array(mi.UInt32, shapes).numpy()
 
 
 def _describe(shape: mi.Shape) -> str:

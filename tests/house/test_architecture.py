@@ -37,6 +37,7 @@ CORE = (
     "reports",
     "commands",
     "cli",
+    "__main__",
 )
 
 # The annexes, which stand on the core and on those above them, and their rooms.

@@ -12,7 +12,7 @@ from typing import BinaryIO
 import numpy as np
 
 from ... import files
-from ...errors import FileFormatError, SettingError, no_file, shown
+from ...errors import FileFormatError, SettingError, check_regular, no_file, shown
 from ...files.measured_table import MeasuredTable, repeats_noted
 from ...results.patch_means import PatchMeans
 from ...results.record import Record, chosen_channel
@@ -66,6 +66,7 @@ def format_of(path: str | PathLike[str]) -> Format | None:
     OSError
         If it cannot be opened.
     """
+    check_regular(path)
     with open(path, "rb") as stream:
         head = without_mark(stream.read(HEAD_BYTES)).decode("latin-1")
     head = head.replace("\r\n", "\n").replace("\r", "\n")

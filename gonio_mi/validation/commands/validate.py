@@ -22,6 +22,7 @@ from ...commands.arguments import (
     sentence,
     set_variant,
     specimen_of,
+    tell,
     tell_json,
 )
 from ...commands.parser import Parser
@@ -89,7 +90,7 @@ def run(options: argparse.Namespace) -> int:
         answer["skipped"] = skipped
         tell_json(answer)
     else:
-        print(told(verdict, others, skipped))
+        tell(told(verdict, others, skipped))
     if verdict.undecided:
         return UNDECIDED
     return DONE if verdict.passed else FAILED

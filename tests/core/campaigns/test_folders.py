@@ -277,7 +277,9 @@ def test_records_of_an_edited_class_do_not_merge(plugin):
         gonio.instrument.loading.load_plugin_file(plugin(value))
         records.append(gonio.measure({"type": "test_plain"}, 0, **SETTINGS, seed=seed))
     assert records[0].merge(records[1]).ledger.emitted == 400
-    with pytest.raises(ValueError, match="must agree in digest"):
+    with pytest.raises(
+        ValueError, match="must agree in the specimen to be merged, but it was edited"
+    ):
         records[0].merge(records[2])
     codes = [one.settings["plugin_digest"] for one in records]
     assert codes[0] == codes[1] != codes[2]

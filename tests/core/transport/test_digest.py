@@ -91,9 +91,9 @@ def interrupted(record):
 def test_different_specimens_cannot_be_mixed(make):
     one, same, other = (measured(make(x), s) for s, x in enumerate((0.2, 0.2, 0.9)))
     assert one.merge(same).n_batches == 8
-    with pytest.raises(ValueError, match="agree in digest to be merged"):
+    with pytest.raises(ValueError, match="agree in the specimen to be merged"):
         one.merge(other)
-    with pytest.raises(ValueError, match="agree in digest to be stacked"):
+    with pytest.raises(ValueError, match="agree in the specimen to be stacked"):
         gonio.Record.stack(
             [one, replace(other, provenance=replace(one.provenance, digest="0"))]
         )
@@ -122,7 +122,7 @@ def test_different_emitters_cannot_be_mixed(make):
         measured(matt, s, emitter=make(x)) for s, x in enumerate((0.2, 0.2, 0.9))
     )
     assert one.merge(same).n_batches == 8
-    with pytest.raises(ValueError, match="agree in emitter_digest to be merged"):
+    with pytest.raises(ValueError, match="agree in the emitter to be merged"):
         one.merge(other)
     with pytest.raises(ValueError, match="it was made with another emitter"):
         measured(matt, emitter=make(0.9), resume=interrupted(one))
@@ -261,7 +261,7 @@ def test_what_a_plugin_in_python_keeps_is_seen(kind):
             for seed, value in enumerate((0.5, 0.5, 0.8))
         )
         assert one.merge(same).n_batches == 8
-        with pytest.raises(ValueError, match="agree in digest to be merged"):
+        with pytest.raises(ValueError, match="agree in the specimen to be merged"):
             one.merge(other)
 
 

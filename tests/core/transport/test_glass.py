@@ -8,6 +8,7 @@ from closed_forms import fresnel, slab
 
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
+from gonio_mi.transport.specimen import Specimen
 from gonio_mi.transport.surface_events import flux_context
 
 pytestmark = pytest.mark.usefixtures("mono")
@@ -147,3 +148,92 @@ def test_russian_roulette_is_unbiased():
 def test_small_footprint_on_large_triangles():
     record = measure(wide_slab(), 45, footprint=1.0)
     assert record.ledger.truncated == 0
+
+
+def varnished(gap, scale=1.0):
+    """Glass a gap above an opaque white base, of a square cell of 2 x 2 times `scale`.
+
+    Returns
+    -------
+    scene : dict
+    """
+    size = mi.ScalarTransform4f().scale(scale)
+    raised = size @ mi.ScalarTransform4f().translate([0, 0, gap])
+    base = {"type": "diffuse", "reflectance": 0.8}
+    return {
+        "type": "scene",
+        "base": {"type": "rectangle", "to_world": size, "bsdf": base},
+        "glass": {"type": "rectangle", "to_world": raised, "bsdf": GLASS},
+    }
+
+
+def spheres(gap):
+    """A white sphere in a shell of glass, whose offsets are those of curved shapes."""
+    base = {"type": "sphere", "bsdf": {"type": "diffuse"}}
+    shell = {"type": "sphere", "radius": 1 + gap, "bsdf": GLASS}
+    return {"type": "scene", "base": base, "shell": shell}
+
+
+def sentences(scene, period="none"):
+    return Specimen(mi.load_dict(scene), period).thin_gaps()
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+def test_thin_gap(scale):
+    """Saunderson's formula holds, whatever the gap; where rays cannot, it is said."""
+    cosines, weights = np.polynomial.legendre.leggauss(100)
+    cosines = (cosines + 1) / 2
+    out, into = fresnel(1.0, ETA), [fresnel(one, 1 / ETA) for one in cosines]
+    back = weights @ (into * cosines)
+    right = out + (1 - out) * (1 - back) * 0.8 / (1 - 0.8 * back)
+    period = (2 * scale, 2 * scale)
+    record = gonio.measure(varnished(1e-5, scale), 0, period=period, rays=2**14)
+    assert record.dht == 0
+    z = (record.dhr[0] - right) / record.dhr_std_err[0]
+    agree(single(z))
+    disagree(single((0.95 * record.dhr[0] - right) / record.dhr_std_err[0]))
+    for gap in (1e-6, 1e-7, 0.0):
+        with pytest.warns(RuntimeWarning, match="light may pass one of them unseen"):
+            found = gonio.measure(varnished(gap, scale), 0, period=period, rays=2**8)
+        (told,) = found.provenance.defects
+        assert "one of them unseen" in told
+
+
+def test_thin_gaps_of_curved_shapes():
+    """Without offsets of its own a shell goes unseen from a gap of 1e-5 on."""
+    assert not sentences(spheres(3e-5))
+    for gap in (1e-5, 1e-6, 1e-7):
+        assert "2 scene units" not in sentences(spheres(gap))[0]
+        assert "less than 1.1e-05" in sentences(spheres(gap))[0]
+    opaque = spheres(1e-6)
+    opaque["shell"] |= {"bsdf": {"type": "conductor"}}
+    assert not sentences(opaque), "no light gets in"
+
+
+def test_a_film_on_rough_ground(tmp_path):
+    """Glass that follows heights: what lies between is thin all over, or nowhere."""
+    rng = np.random.default_rng(5)
+    x, y = np.meshgrid(np.arange(33.0), np.arange(33.0), indexing="ij")
+    heights = np.pad(rng.uniform(0, 3, (32, 32)), (0, 1), mode="wrap")
+    corner = np.arange(33 * 32).reshape(32, 33)[:, :-1].ravel()
+    lower = np.c_[corner, corner + 33, corner + 34]
+    faces = np.r_[lower, np.c_[corner, corner + 34, corner + 1]]
+
+    def sheet(name, lift, bsdf):
+        mesh = mi.Mesh(name, 33 * 33, len(faces))
+        parameters = mi.traverse(mesh)
+        points = np.c_[x.ravel(), y.ravel(), heights.ravel() + lift]
+        parameters["vertex_positions"] = points.ravel()
+        parameters["faces"] = faces.ravel().astype(np.uint32)
+        parameters.update()
+        path = tmp_path / f"{name}.ply"
+        mesh.write_ply(str(path))
+        shape = {"type": "ply", "filename": str(path), "face_normals": True}
+        return shape | {"bsdf": bsdf}
+
+    ground = sheet("ground", 0.0, {"type": "diffuse"})
+    for lift, is_thin in ((1e-5, True), (1e-2, False)):
+        film = sheet(f"film{lift}", lift, GLASS)
+        found = sentences({"type": "scene", "ground": ground, "film": film}, "box")
+        assert bool(found) is is_thin
+    assert not sentences({"type": "scene", "film": film}, "box"), "rough glass alone"
