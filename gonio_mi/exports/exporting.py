@@ -18,7 +18,7 @@ from ..formats import astm
 from ..formats.radiance import BASES, Product
 from ..formats.reading import endings_of, read_measured
 from ..results.record import Record, wavelengths_nm
-from ..results.summary import summarize
+from ..results.summary import OVER_THE_EDGE, summarize
 from ..results.tally import ELEMENT_NAMES
 from .loss import ZEMAX, Loss, fractions_of, losses, part_names
 from .measured_export import write_measured
@@ -40,8 +40,7 @@ REFLECTION_ONLY = (".bsdf", *endings_of("reflection_only"))
 # Fates whose flux no patch receives, and the fraction of all rays from which a warning
 # tells of them.
 LOST_FATES = {
-    "sideways": "left sideways, over the edge of the specimen: measure one cell of it "
-    "with a period, or take a smaller footprint",
+    "sideways": "left sideways",
     "astray": "went astray: a shape with a medium is open or overlaps another",
     "truncated": "were truncated by max_depth or max_scatterings",
     "invalid": "are invalid, by what the BSDF returned",
@@ -143,8 +142,11 @@ def export(
 
 
 def _warn_of_openings(record: Record) -> None:
-    """Warn if the file cannot say what passed beside the specimen."""
+    """Warn of light beside the specimen, or over its edges, that the file has not."""
     ledger = record.ledger
+    over = ledger.over_the_edge / max(ledger.emitted, 1)
+    if record.provenance.edges == "open" and over > MAX_LOST:
+        warn(f"{over:.2%} of the rays {OVER_THE_EDGE}")
     if not ledger.missed:
         return
     directions = summarize(record).directions

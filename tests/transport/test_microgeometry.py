@@ -170,7 +170,9 @@ def test_white_mirror_fields_reflect_all(alpha, theta_i):
     assert rays.reflected.all()
     assert (rays.weight == 1).all()
     finite = traced(field, 60, 20.0, n=10**5, period="none")
-    assert finite.fate_is(Fate.SIDEWAYS).any()
+    assert finite.over_the_edge.any()
+    assert not rays.over_the_edge.any()
+    assert (finite.fate_is(Fate.MISSED) | finite.fate_is(Fate.REFLECTED)).all()
 
 
 @pytest.mark.parametrize("theta_i", [0, 60])
