@@ -241,7 +241,21 @@ def test_a_tilted_mirror_in_a_collector_nearby():
     assert abs(record.dhr + record.dht - 0.75) < 2.0**-22
 
 
-# -------------------------------------------------------------- orders, media, profiles
+# ------------------------------------------------- campaigns, orders, media, profiles
+
+
+def test_a_campaign_of_a_ball(tmp_path):
+    """In closed form at each direction; exact: its folder holds the same."""
+    ball = {"ball": {"type": "sphere", "bsdf": WHITE}}
+    theta_i = [10, 50]
+    settings = {"theta_i": theta_i, "footprint": 3.0, "rays": RAYS, "folder": tmp_path}
+    settings |= {"sampler": "independent", "collector": "solid:4x6"}
+    record = gonio.campaign(ball, **settings)["ball"]
+    for one, angle in zip(record, theta_i):
+        agree(total_score(one, (1 + 2 / 3 * np.cos(np.radians(angle))) / 2))
+        disagree(total_score(one, (1 + 2 / 3 * np.cos(np.radians(60 - angle))) / 2))
+    assert 0 < record.ledger.over_the_edge < record.ledger.emitted
+    assert gonio.campaign(ball, **settings)["ball"].tallies == record.tallies
 
 
 def test_orders_of_two_balls():
