@@ -219,9 +219,7 @@ def _direction(look: Record) -> DirectionSummary:
 
 
 def _ledger(record: Record) -> dict[str, int]:
-    ledger = record.ledger
-    beside = {"emitted": ledger.emitted, "over_the_edge": ledger.over_the_edge}
-    return ledger.rows | beside
+    return vars(record.ledger) | {"emitted": record.ledger.emitted}
 
 
 def _totals(look: Record, quantity: str) -> list[Total]:

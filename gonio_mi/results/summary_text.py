@@ -283,7 +283,7 @@ def _ledger_text(summary: Summary) -> str:
     rows = [[name, grouped(n), percent(n, emitted)] for name, n in shown.items()]
     rows.append(["sum", grouped(sum(shown.values())), percent(emitted, emitted)])
     if over := ledger["over_the_edge"]:
-        rows.append(["over the edge", grouped(over), percent(over, emitted)])
+        rows.append(["of these over the edge", grouped(over), percent(over, emitted)])
     lines = [aligned(["ledger", "rays", "% of rays"], rows)]
     beyond = shown["transmitted"] + shown.get("direct", 0)
     if beyond and not summary.record.has_lower:

@@ -68,9 +68,8 @@ def exits_of(
     ray = flight.ray
     incident = dr.select(fate == mi.UInt32(Fate.MISSED), 0.0, incident)
     p = ray.o + flight.shift
-    exits = Exits(p, ray.d, throughput, fate, incident, depth)
-    exits.over_the_edge = by_a_side
-    return exits
+    leaves = p, ray.d, throughput, fate, incident, depth
+    return Exits(*leaves, over_the_edge=by_a_side)
 
 
 def of_order(exits: Exits, order: Order) -> Exits:

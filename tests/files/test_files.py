@@ -75,7 +75,7 @@ def refused(path):
 
 def test_records_without_a_count_of_rays_over_the_edge(tmp_path, ending):
     """Exact: rays that were sideways in those days remain so."""
-    record = synthetic.record(rays=1000)
+    record = synthetic.record(rays=1000).with_settings(rays=10**4)
     tally = synthetic.writeable(record.tallies[0])
     tally.fates[:, [Fate.SIDEWAYS, Fate.ABSORBED]] += np.uint64(5), np.uint64(3)
     old = replace(tally, fates=tally.fates[:, : Fate.OVER_THE_EDGE])
