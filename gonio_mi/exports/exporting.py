@@ -64,8 +64,8 @@ def export(
 
     What was written is read back, by Mitsuba if it is for its `measured`, and compared.
     A warning tells of a specimen that was missed by a relevant part of the rays, or
-    left by them over edges that may be none, of rays whose flux is in no patch, and of flux that a file .xml cannot describe: a
-    side, or angles of incidence.
+    left by them over edges that may be none, of rays whose flux is in no patch, and of
+    flux that a file .xml cannot describe: a side, or angles of incidence.
 
     Parameters
     ----------

@@ -61,8 +61,17 @@ def total_score(record, expected, of="dhr"):
 # -------------------------------------------------------------- convex bodies, far away
 
 
-@pytest.mark.parametrize("estimator", ["weighted", "analog", "next_event"])
-@pytest.mark.parametrize("body", BODIES)
+@pytest.mark.parametrize(
+    ("body", "estimator"),
+    [
+        ("sphere", "weighted"),
+        ("sphere", "analog"),
+        ("cylinder", "analog"),
+        ("cylinder", "next_event"),
+        ("cube", "weighted"),
+        ("cube", "next_event"),
+    ],
+)
 def test_white_bodies_have_the_totals_of_their_normals(body, estimator):
     """In closed form: a face sends (1 + n.z) / 2 up. Twin: less what passed a side."""
     shape, mean = BODIES[body]
@@ -183,14 +192,14 @@ def plate(tilt):
     }
 
 
-@pytest.mark.parametrize("estimator", ["weighted", "next_event"])
 @pytest.mark.parametrize(
-    ("tilt", "theta_i", "phi_i", "side", "theta_o"),
+    ("tilt", "theta_i", "phi_i", "side", "theta_o", "estimator"),
     [
-        (17, 37, 180, "front", 71),
-        (17, 37, 0, "back", 71),
-        (44, 0, 0, "front", 88),
-        (60, 0, 0, "front", 120),
+        (17, 37, 180, "front", 71, "weighted"),
+        (17, 37, 0, "back", 71, "weighted"),
+        (44, 0, 0, "front", 88, "weighted"),
+        (60, 0, 0, "front", 120, "weighted"),
+        (60, 0, 0, "front", 120, "next_event"),
     ],
 )
 def test_tilted_mirrors_reflect_all_in_one_direction(
@@ -211,7 +220,7 @@ def test_tilted_mirrors_reflect_all_in_one_direction(
     assert np.flatnonzero(record.counts[int(below)]).tolist() == [number]
 
 
-@pytest.mark.parametrize("estimator", ["weighted", "analog", "next_event"])
+@pytest.mark.parametrize("estimator", ["weighted", "next_event"])
 def test_tilted_paint_sends_some_light_down(estimator):
     """In closed form: (1 - cos tilt) / 2 of it. Twin: of another tilt."""
     tilt = np.radians(35)
@@ -277,14 +286,13 @@ def test_orders_of_two_balls():
     )
 
 
-@pytest.mark.parametrize("estimator", ["weighted", "analog"])
-def test_a_ball_of_white_fog_loses_nothing(estimator):
+def test_a_ball_of_white_fog_loses_nothing():
     """Rounding: all leaves, above or below; in closed form: what goes straight on.
 
     Twin: the latter of a denser ball.
     """
     fog = {"type": "sphere", "interior": medium(1.0, 1.0)}
-    settings = {"footprint": 2.2, "estimator": estimator, "bsdf": NULL, "rays": 2**17}
+    settings = {"footprint": 2.2, "bsdf": NULL, "rays": 2**17}
     record = measured(fog, **settings)
     ledger = record.ledger
     assert ledger.reflected + ledger.transmitted == ledger.emitted - ledger.missed

@@ -169,7 +169,7 @@ def test_white_mirror_fields_reflect_all(alpha, theta_i):
     rays = traced(field, theta_i, 20.0, n=2 * RAYS)
     assert rays.reflected.all()
     assert (rays.weight == 1).all()
-    finite = traced(field, 60, 20.0, n=10**5, period="none")
+    finite = traced(field, 60, 20.0, n=10**4, period="none")
     assert finite.over_the_edge.any()
     assert not rays.over_the_edge.any()
     assert (finite.fate_is(Fate.MISSED) | finite.fate_is(Fate.REFLECTED)).all()
