@@ -392,7 +392,7 @@ TALLY = RECORDS["plain"].tallies[0]
         ("hits", TALLY.hits[None, :, :-1], r"hits of shape \(1, 1, 5, 8\)"),
         ("sums", TALLY.sums[:, :0], "sums"),
         ("sums", TALLY.sums.astype(">u8"), "sums is >u8"),
-        ("fates", TALLY.fates[:, :-1], "fates"),
+        ("fates", TALLY.fates[:, :-2], "fates"),
         ("fates", TALLY.fates[:-1], "fates"),
         ("n_batches", np.array([2, 2]), "hits"),
         ("n_batches", np.array([-4]), "batches"),
