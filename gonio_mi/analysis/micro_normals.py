@@ -21,7 +21,7 @@ from ..plots.figure import finished, new_figure
 from ..settings.values import checked_period
 from ..single_precision import FEW_ROUNDINGS
 from ..transport.kernels import launches_kernels
-from ..transport.rays import departure, intersect, unobstructed
+from ..transport.rays import departure, escapes, intersect
 from ..transport.specimen import Specimen
 from .smith import (
     DISTRIBUTIONS,
@@ -456,7 +456,7 @@ def _escape(specimen: Specimen, facets: Facets, towards: Floats) -> Any:
     active = dr.dot(si.n, d) > 0
     origin, offset = departure(specimen, si, -si.n, d)
     ray = mi.Ray3f(origin + offset * si.n, d)
-    return unobstructed(specimen, 1, ray, si.n, offset, active)[0].numpy()
+    return escapes(specimen, 1, ray, si.n, offset, active).numpy()
 
 
 def _ratio(

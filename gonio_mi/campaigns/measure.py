@@ -69,8 +69,9 @@ def measure(
         After Ctrl-C, of the rays that all batches had sent alike: all but the last
         eighth at most once a measurement is long; with a warning and the setting
         ``interrupted``. A BSDF that creates light, as a reflectance above 1 does, gives
-        a warning. Light that is in no patch or misses the specimen, beyond the
-        statistical error, gives a :class:`~gonio_mi.errors.LostLightWarning`.
+        a warning. Light that is in no patch, misses the specimen, or leaves over edges
+        of a surface that may be larger, beyond the statistical error, gives a
+        :class:`~gonio_mi.errors.LostLightWarning`.
 
     Raises
     ------

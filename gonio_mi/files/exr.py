@@ -259,7 +259,7 @@ def attributes(record: Record, index: int, part: str) -> dict[str, Any]:
     if integrals and not tally.ledger.emitted:
         rows["ledger"] = "empty: quadrature traces no rays"
     else:
-        ledger = tally.ledger.rows | {"emitted": tally.ledger.emitted}
+        ledger = vars(tally.ledger) | {"emitted": tally.ledger.emitted}
         rows |= {f"ledger.{fate}": str(n) for fate, n in ledger.items()}
     return {f"gonio.{key}": value for key, value in rows.items()} | {
         "compression": OpenEXR.ZIP_COMPRESSION,

@@ -133,6 +133,10 @@ def rebuilt(
     signed = {"elements", *(["sums"] if provenance.transport == FACETS else [])}
     kept = []
     for arrays, scale in zip(tallies, scales):
+        fates = arrays["fates"]
+        if fates.ndim == 2 and fates.shape[1] == Fate.OVER_THE_EDGE:
+            # written when such rays were sideways
+            arrays["fates"] = np.pad(fates, ((0, 0), (0, 1)))
         require(0 < scale < 2**63, f"its scale {scale} is out of range")
         _check_shapes(arrays, patches.shape, len(channels), signed)
         tally = _tally(arrays, scale)

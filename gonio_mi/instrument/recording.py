@@ -224,6 +224,7 @@ def settings_and_provenance(setup: Setup) -> tuple[MeasurementSettings, Provenan
         defects=tuple(specimen.defects),
         **digests,
         transmission=specimen.transmission,
+        edges=specimen.edges,
         emitter=setup.beam.emitter.class_name(),
         transport=transport_of(setup),
         choice=setup.choice,

@@ -111,7 +111,8 @@ def _even(rays: int, most: int) -> int:
 
 def rays_sent(tallies: Sequence[Tally], passes: int) -> list[int]:
     """Rays of each batch of `tallies`, which sent them `passes` times."""
-    counts = [tally.fates[:, : len(Fate)].sum(axis=1) // passes for tally in tallies]
+    fates = [tally.fates[:, : Fate.OVER_THE_EDGE] for tally in tallies]
+    counts = [each.sum(axis=1) // passes for each in fates]
     return [int(rays) for some in counts for rays in some]
 
 

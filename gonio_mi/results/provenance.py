@@ -145,6 +145,9 @@ class Provenance:
         what is written in Python of both.
     transmission : str
         What the specimen lets through, as far as its BSDFs and straight rays tell.
+    edges : str
+        Of geometry without a period: ``open`` if it may stand for a larger surface, or
+        ``closed``. Light that leaves over its edges counts by its direction.
     emitter : str
         Class of the emitter.
     transport : str
@@ -185,6 +188,7 @@ class Provenance:
     emitter_digest: str | None = None
     plugin_digest: str | None = None
     transmission: str | None = None
+    edges: str | None = None
     emitter: str | None = None
     transport: str | None = None
     choice: str | None = None

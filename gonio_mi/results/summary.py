@@ -25,8 +25,8 @@ MAX_STRAY = 1e-6
 PASSED = {
     "none": "leaked to the other side, where straight rays find no gap and no BSDF "
     "declares transmission: the geometry is not closed",
-    "gaps": "went to the other side through gaps of the geometry or around its edges, "
-    "as they should between threads or fibres but not in a closed surface",
+    "gaps": "went to the other side through gaps of the geometry, as they should "
+    "between threads or fibres but not in a closed surface",
 }
 
 # What `missed` rays ask for.
@@ -34,6 +34,12 @@ MISSED = (
     "missed the specimen; they are not part of the incident flux: if it stands for a "
     "larger surface with openings, give a period (--period box), which counts them as "
     "transmitted; if these are its edges, take a smaller footprint (--footprint)"
+)
+
+# And what rays over an edge do that may be none.
+OVER_THE_EDGE = (
+    "left over the edge of the specimen and count by their direction; if it stands for "
+    "a larger surface, give a period (--period box) or take a smaller footprint"
 )
 
 
@@ -60,7 +66,7 @@ class DirectionSummary:
         For each channel. None without a lower hemisphere; `direct` but for periodic
         specimens whose direct light is collected.
     ledger : dict of int
-        Rows of the ledger, and ``emitted``.
+        Rows of the ledger, ``emitted``, and of these ``over_the_edge``.
     n_patches, n_without_hit, n_pooled, n_lobe : int
         Patches in all, those known by an upper limit only, those that are judged by
         the hits of all, and those that reach a tenth of the mean.
@@ -138,7 +144,7 @@ class Summary:
 
     @property
     def ledger(self) -> dict[str, int]:
-        """Rows of the ledger over all incident directions, and ``emitted``."""
+        """Rows of the ledger over all incident directions, as of one."""
         return _ledger(self.record)
 
     def as_mapping(self) -> dict[str, Any]:
@@ -213,7 +219,7 @@ def _direction(look: Record) -> DirectionSummary:
 
 
 def _ledger(record: Record) -> dict[str, int]:
-    return record.ledger.rows | {"emitted": record.ledger.emitted}
+    return vars(record.ledger) | {"emitted": record.ledger.emitted}
 
 
 def _totals(look: Record, quantity: str) -> list[Total]:
@@ -299,7 +305,7 @@ def _warnings(record: Record, directions: Sequence[DirectionSummary]) -> list[st
     transmission = provenance.transmission
     if ledger.direct and transmission == "none":
         transmission = "gaps"  # which the few thousand rays did not find
-    if transmission in PASSED:
+    if transmission in PASSED and not provenance.edges:
         rows["transmitted"] = PASSED[transmission]
     sentences += _excessive_rows(ledger, exceeds, rows)
     several = provenance.each_processor
@@ -313,12 +319,12 @@ def _warnings(record: Record, directions: Sequence[DirectionSummary]) -> list[st
 
 
 def lost_light(record: Record) -> list[str]:
-    """Sentences on light that is in no patch, or missed the specimen.
+    """Sentences on light that is in no patch, missed the specimen, or left its edges.
 
     Beside that which a BSDF or a medium has lost by a mistake.
     """
     ledger = record.ledger
-    stray = ledger.sideways + ledger.missed
+    stray = ledger.sideways + ledger.missed + ledger.over_the_edge
     if not ledger.truncated and stray <= MAX_STRAY * ledger.emitted:
         return []  # without looking for the statistical error
 
@@ -329,7 +335,7 @@ def lost_light(record: Record) -> list[str]:
         return any(
             _direction(look).exceeds_error(row)
             for look, own in found
-            if own.rows[row] > MAX_STRAY * own.emitted
+            if getattr(own, row) > MAX_STRAY * own.emitted
         )
 
     return _lost_light(record, exceeds)
@@ -344,10 +350,9 @@ def _lost_light(record: Record, exceeds: Callable[[str], bool]) -> list[str]:
             f"{_share(ledger.truncated, ledger)} were truncated by {limits}; their "
             "flux is in no patch"
         )
-    rows = {
-        "sideways": "left sideways, over the edge of the specimen, into no patch",
-        "missed": MISSED,
-    }
+    rows = {"sideways": "left sideways, into no patch", "missed": MISSED}
+    if record.provenance.edges == "open":
+        rows["over_the_edge"] = OVER_THE_EDGE
     return sentences + _excessive_rows(ledger, exceeds, rows)
 
 

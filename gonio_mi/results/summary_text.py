@@ -277,11 +277,13 @@ def _ledger_text(summary: Summary) -> str:
         return _filled("ledger    ", text)
     shown = {
         name: n
-        for name, n in ledger.items()
-        if name != "emitted" and (n or name in MAIN_ROWS)
+        for name, n in summary.record.ledger.rows.items()
+        if n or name in MAIN_ROWS
     }
     rows = [[name, grouped(n), percent(n, emitted)] for name, n in shown.items()]
     rows.append(["sum", grouped(sum(shown.values())), percent(emitted, emitted)])
+    if over := ledger["over_the_edge"]:
+        rows.append(["of these over the edge", grouped(over), percent(over, emitted)])
     lines = [aligned(["ledger", "rays", "% of rays"], rows)]
     beyond = shown["transmitted"] + shown.get("direct", 0)
     if beyond and not summary.record.has_lower:

@@ -43,6 +43,8 @@ class Fate(IntEnum):
     DIRECT = 11
     ABSORBED_INSIDE = 12
     ASTRAY = 13
+    # no fate, and the last column: of those reflected and transmitted
+    OVER_THE_EDGE = 14
 
 
 @dataclass(frozen=True)
@@ -63,8 +65,9 @@ class Ledger:
         Never met the specimen, which is finite. These rays are not part of the
         incident flux.
     sideways : int
-        Left through a side of the specimen's bounding box, along the horizon, or past
-        a collector of finite radius (unscattered, also above its horizon).
+        Left along the horizon, after 4096 cells of a periodic specimen, or past a
+        collector of finite radius (unscattered, also above its horizon). In records up
+        to version 0.1: also through a side of the specimen's bounding box.
     truncated : int
         Still inside after ``max_depth`` surface events.
     rejected : int
@@ -88,6 +91,9 @@ class Ledger:
     astray : int
         Left the scene inside of a medium, or met a surface from another medium than
         the one it says: the shape is open, or overlaps another.
+    over_the_edge : int
+        Of those reflected and transmitted: left a free-standing specimen through a side
+        of its bounding box. No row, for these rays are in two others.
     """
 
     reflected: int = 0
@@ -104,9 +110,10 @@ class Ledger:
     direct: int = 0
     absorbed_inside: int = 0
     astray: int = 0
+    over_the_edge: int = 0
 
     def __repr__(self) -> str:
-        shown = ", ".join(f"{name}={n}" for name, n in self.rows.items() if n)
+        shown = ", ".join(f"{name}={n}" for name, n in vars(self).items() if n)
         return f"Ledger({shown})"
 
     @classmethod
@@ -117,7 +124,7 @@ class Ledger:
     @property
     def rows(self) -> dict[str, int]:
         """Dictionary of row name to number of rays."""
-        return dict(vars(self))
+        return {k: n for k, n in vars(self).items() if k != "over_the_edge"}
 
     @property
     def emitted(self) -> int:
@@ -126,7 +133,7 @@ class Ledger:
 
     def __add__(self, other: Ledger) -> Ledger:
         """Ledger of both sets of rays."""
-        return Ledger(*(a + b for a, b in zip(self.rows.values(), other.rows.values())))
+        return Ledger(**{k: n + vars(other)[k] for k, n in vars(self).items()})
 
 
 @dataclass(frozen=True, eq=False)

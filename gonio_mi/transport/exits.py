@@ -39,6 +39,9 @@ class Exits:
         estimators but `next_event`.
     flight : Flight
         Of rays that were cut off: towards what they met.
+    over_the_edge : mi.Bool
+        Whether they passed a side of a free-standing specimen's bounding box; None
+        where there is none.
     """
 
     p: Any
@@ -50,6 +53,7 @@ class Exits:
     left: Any = None
     density: Any = None
     flight: Any = None
+    over_the_edge: Any = None
 
 
 def exits_of(
@@ -63,10 +67,9 @@ def exits_of(
     """Exits of rays at the end of their flight, whether by a side of the box or not."""
     ray = flight.ray
     incident = dr.select(fate == mi.UInt32(Fate.MISSED), 0.0, incident)
-    sideways = (fate == mi.UInt32(Fate.REFLECTED)) & by_a_side
-    fate = dr.select(sideways, mi.UInt32(Fate.SIDEWAYS), fate)
     p = ray.o + flight.shift
-    return Exits(p, ray.d, throughput, fate, incident, depth)
+    leaves = p, ray.d, throughput, fate, incident, depth
+    return Exits(*leaves, over_the_edge=by_a_side)
 
 
 def of_order(exits: Exits, order: Order) -> Exits:
@@ -127,6 +130,7 @@ class OrderClasses:
         ndarray of int64, shape (n_batches, n_bins)
         """
         n_collected = int(np.prod(shape))
+        rays, over_the_edge = np.split(rays, [n_collected + Fate.OVER_THE_EDGE], axis=2)
         within, before = self.within(order), self._last < order.least
         kept = rays[within].sum(axis=0)
         other = rays[self._first > order.most].sum(axis=(0, 2))
@@ -141,4 +145,4 @@ class OrderClasses:
             kept[:, n_collected + Fate.TRUNCATED] = 0
         kept[:, n_collected:] += fates
         kept[:, n_collected + Fate.OTHER_ORDER] += other
-        return kept
+        return np.append(kept, over_the_edge[within].sum(axis=0), axis=1)

@@ -19,9 +19,10 @@ from .sums import Sums
 from .surface_events import MAX_POWER, flux_context, is_delta, shading_normal_correction
 
 # Part of the points that goes to the lower hemisphere, if there is one; and where all
-# surfaces are opaque and no gap was seen. It changes what is learned, never the result.
+# surfaces are opaque, and no gap was seen or light gets there over edges alone. It
+# changes what is learned, never the result.
 LOWER = 1 / 2
-LOWER_IF_DARK = 1 / 16
+LOWER_IF_DIM = 1 / 16
 
 # Steps of the sequence R2 in x and y, as fractions of 2**32.
 R2 = (0xC13FA9A9, 0x91E10DA6)
@@ -52,7 +53,7 @@ class Deposits:
     points, and their rays count whole.
 
     Patches of one hemisphere are equally likely. Of the points one half goes to the
-    lower hemisphere; one sixteenth if that seems to be dark, which is not relied upon.
+    lower hemisphere; one sixteenth if that seems to be dim, which is not relied upon.
 
     Parameters
     ----------
@@ -79,7 +80,9 @@ class Deposits:
         )
         self.lower = 0.0
         if setup.shape[0] == 2:
-            self.lower = LOWER_IF_DARK if setup.specimen.seems_dark else LOWER
+            specimen = setup.specimen
+            dim = specimen.closed_to_light and specimen.edges == "open"
+            self.lower = LOWER_IF_DIM if dim or specimen.seems_dark else LOWER
         subdivision = setup.collector.subdivision
         theta_low, theta_high, phi_low, phi_high = subdivision.cells.T
         # sin^2(theta / 2) is proportional to solid angle, and exact at the pole

@@ -325,6 +325,7 @@ def proceed(
     flight.cells[met.crosses] = flight.cells + 1
 
 
+@dr.syntax
 def escapes(
     specimen: Any,
     side: int,
@@ -344,26 +345,7 @@ def escapes(
     n, offset : mi.Normal3f, mi.Float
         Geometric normal where they left, and how far off its surface they started.
     active : mi.Bool
-
-    Returns
-    -------
-    mi.Bool
-        False for those that leave through a side of the specimen's bounding box.
     """
-    free, last = unobstructed(specimen, side, ray, n, offset, active)
-    return free & ~leaves_by_a_side(specimen, last.o, last.d)
-
-
-@dr.syntax
-def unobstructed(
-    specimen: Any,
-    side: int,
-    ray: mi.Ray3f,
-    n: mi.Normal3f,
-    offset: mi.Float,
-    active: mi.Bool,
-) -> tuple[mi.Bool, mi.Ray3f]:
-    """As :func:`escapes`, sides or no sides; and the rays as they were at last."""
     flight = flight_from(specimen, ray, n, offset)
     free = mi.Bool(False)
     flying = mi.Bool(active)
@@ -374,4 +356,4 @@ def unobstructed(
         free |= met.missed & ~met.crosses & ~met.endless
         proceed(specimen, flight, si, met)
         flying = met.goes_on
-    return free, flight.ray
+    return free

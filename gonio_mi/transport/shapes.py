@@ -1,6 +1,6 @@
 """Shapes of a scene: their boxes, cell walls, groups, and acceleration structure.
 
-Light that leaves through a side of the specimen's box is in no patch: the box counts.
+A box is the cell of a period, and what light passes over the edge: the box counts.
 Mitsuba 3.9.1 bounds an `sdfgrid` by its grid and a `bsplinecurve` by its control
 points, and a mesh by all its vertices, used or not; these are bounded here by their
 surfaces. All other boxes are Mitsuba's: tight for spheres, disks, cylinders,

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..array_types import Integers
 from ..errors import SpecimenError, abridged, warn
-from ..mitsuba_names import SURFACE
+from ..mitsuba_names import MINIMAL, SURFACE
 from ..settings.values import Period
 from .digest import digest
 from .kernels import in_memory
@@ -205,9 +205,10 @@ class Specimen:
     def seems_dark(self) -> bool:
         """Whether no surface transmits, and no ray of a few thousand finds a gap.
 
-        They come from above, from all directions and all over the box.
+        They come from above, from all directions and all over the cell. What is
+        free-standing is not: light goes down around its edges.
         """
-        if not self.closed_to_light:
+        if not (self.closed_to_light and self.periodic):
             return False
         active = mi.Bool(True)
         free = escapes(self, 1, self._rays(1), mi.Normal3f(0), mi.Float(0), active)
@@ -284,6 +285,28 @@ class Specimen:
             if not active.any():
                 break
         return float(thin.sum() / max(met.sum(), 1))
+
+    @cached_property
+    def edges(self) -> str | None:
+        """Without a period ``closed``, or ``open``: it may stand for a larger surface.
+
+        Of a few thousand rays to points all over the box, all that are vertical meet an
+        open surface, and some of the others meet it from behind: a height field, or a
+        pane without walls, and no solid. None for a flat rectangle, and in a cell.
+        """
+        if self.periodic or self.plane is not None:
+            return None
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(0, N_POINTS)
+        d = mi.warp.square_to_uniform_sphere(sampler.next_2d())
+        low, high = map(mi.Point3f, (self.box.low, self.box.high))
+        place = mi.Vector3f(*sampler.next_2d(), sampler.next_1d())
+        aim, (size,) = low + place * (high - low), in_memory([self.size])
+        ray, down = mi.Ray3f(aim - size * d, d), mi.Vector3f(0, 0, -1)
+        si = intersect(self.scene, ray, MINIMAL, True)
+        behind = dr.any(si.is_valid() & (dr.dot(si.n, d) > 0))
+        covered = dr.all(self.scene.ray_test(mi.Ray3f(aim - size * down, down)))
+        return "open" if behind & covered else "closed"
 
     @cached_property
     def is_height_map(self) -> bool:

@@ -209,6 +209,12 @@ class Sums:
             twice = active & direct & (bins < self.setup.n_collected)
             bins = mi.UInt32(self.setup.n_collected + Fate.DIRECT)
             self.deposit(bins, exits.throughput, twice, batch)
+        elif exits.over_the_edge is not None and not self.setup.specimen.periodic:
+            left = exits.over_the_edge & (exits.fate == mi.UInt32(Fate.REFLECTED))
+            left &= active & (bins != self.setup.n_collected + Fate.SIDEWAYS)
+            index = batch * self.setup.n_bins + (self.setup.n_bins - 1)
+            packet = [1] + [0] * (self.width - 1)
+            _scatter_add(self.bins, mi.ArrayXi64(packet), index, left)
         if not self.setup.beam.uniform:
             for channel, power in enumerate(exits.incident):
                 digits = Digits(power)
@@ -385,11 +391,12 @@ class Totals:
     def emitted(self) -> int:
         """Rays that were counted: each once, whatever became of it."""
         setup = self._sums.setup
-        fates = self._rays[..., setup.n_collected :]
+        rays = self._rays[..., : setup.n_collected + Fate.OVER_THE_EDGE]
+        fates = rays[..., setup.n_collected :]
         if self._sums.deposits:
             return int(fates.sum())
         twice = fates[..., Fate.DIRECT].sum() if setup.shape[0] == 2 else 0
-        return int(self._rays.sum() - twice)
+        return int(rays.sum() - twice)
 
     def tallies(self, n: int) -> list[Tally]:
         """:class:`Tally` of each of `n` beams, whose batches take turns.
@@ -425,7 +432,8 @@ class Totals:
             fates[:, Fate.TRANSMITTED] = hits[:, 1].sum(axis=(1, 2))
             fates[:, Fate.TRANSMITTED] -= fates[:, Fate.DIRECT]
         if self._incident is None:
-            met = fates.sum(axis=1) - fates[:, Fate.MISSED] - fates[:, Fate.UNLIT]
+            sent = fates[:, : Fate.OVER_THE_EDGE].sum(axis=1)
+            met = sent - fates[:, Fate.MISSED] - fates[:, Fate.UNLIT]
             incident = np.repeat(met[:, None], sums.channels, axis=1)
             incident = (scale * incident).astype(kind)
         else:

@@ -25,6 +25,7 @@ class Rays:
     d: np.ndarray
     depth: np.ndarray
     weight: np.ndarray
+    over_the_edge: np.ndarray
 
     @property
     def reflected(self):
@@ -92,7 +93,7 @@ def specimen_of(shapes, period):
     """Specimen of a shape, or of a dictionary of several."""
     if "type" in shapes:
         shapes = {"shape": shapes}
-    scene = mi.load_dict({"type": "scene", **shapes})
+    scene = mi.load_dict({"type": "scene", **shapes}, optimize=False)
     return Specimen(scene, checked_period("period", period))
 
 
@@ -104,12 +105,13 @@ def followed(specimen, beam, n, seed=0):
         specimen, beam, sampler, mi.Color0f(), PathSettings(False, 1000, 2**32 - 1)
     )
     # in one kernel: the rays are followed once
-    dr.eval(exits.fate, exits.d, exits.depth, exits.throughput)
+    dr.eval(exits.fate, exits.d, exits.depth, exits.throughput, exits.over_the_edge)
     return Rays(
         np.array(exits.fate),
         np.array(exits.d).T.astype(float),
         np.array(exits.depth),
         np.array(exits.throughput)[0].astype(float),
+        np.array(exits.over_the_edge),
     )
 
 

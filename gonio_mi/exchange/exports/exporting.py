@@ -16,7 +16,7 @@ from ...files import check_output, netcdf, replacing
 from ...files.measured_table import MeasuredTable
 from ...files.writing import takes_a_stream
 from ...results.record import Record, fractions_of, wavelengths_nm
-from ...results.summary import summarize
+from ...results.summary import OVER_THE_EDGE, summarize
 from ...results.tally import ELEMENT_NAMES
 from ..formats import astm
 from ..formats.radiance import BASES, Product
@@ -38,8 +38,7 @@ REFLECTION_ONLY = (".bsdf", *endings_of("reflection_only"))
 # Fates whose flux no patch receives, and the fraction of all rays from which a warning
 # tells of them.
 LOST_FATES = {
-    "sideways": "left sideways, over the edge of the specimen: measure one cell of it "
-    "with a period, or take a smaller footprint",
+    "sideways": "left sideways",
     "astray": "went astray: a shape with a medium is open or overlaps another",
     "truncated": "were truncated by max_depth or max_scatterings",
     "invalid": "are invalid, by what the BSDF returned",
@@ -62,9 +61,9 @@ def export(
     """Write a record to a file of another tool, and return what was lost.
 
     What was written is read back, by Mitsuba if it is for its `measured`, and compared.
-    A warning tells of a specimen that was missed by a relevant part of the rays, of
-    rays whose flux is in no patch, and of flux that a file .xml cannot describe: a
-    side, or angles of incidence.
+    A warning tells of a specimen that was missed by a relevant part of the rays, or
+    left by them over edges that may be none, of rays whose flux is in no patch, and of
+    flux that a file .xml cannot describe: a side, or angles of incidence.
 
     Parameters
     ----------
@@ -152,8 +151,11 @@ def export(
 
 
 def _warn_of_openings(record: Record) -> None:
-    """Warn if the file cannot say what passed beside the specimen."""
+    """Warn of light beside the specimen, or over its edges, that the file has not."""
     ledger = record.ledger
+    over = ledger.over_the_edge / max(ledger.emitted, 1)
+    if record.provenance.edges == "open" and over > MAX_LOST:
+        warn(f"{over:.2%} of the rays {OVER_THE_EDGE}")
     if not ledger.missed:
         return
     directions = summarize(record).directions

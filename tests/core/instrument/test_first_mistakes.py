@@ -85,9 +85,8 @@ def test_light_that_misses_is_told_once():
     found = warned(BALL, [0, 10])
     assert {one.category for one in found} == {LostLightWarning}
     assert {one.filename for one in found} == {__file__}
-    texts = [str(one.message) for one in found]
-    assert sum("rays missed the specimen" in text for text in texts) == 1
-    assert sum("rays left sideways" in text for text in texts) == len(texts) - 1 <= 1
+    (text,) = (str(one.message) for one in found)
+    assert "rays missed the specimen" in text
 
 
 @pytest.mark.usefixtures("mono")

@@ -79,7 +79,7 @@ def test_wide_plate_is_a_layer(bsdf):
     agree(verdict(both(plate, layer)))
     narrow = measured(cube(one, half=1.0, bsdf=bsdf), footprint="point")
     disagree(verdict(both(narrow, layer)))
-    assert narrow.ledger.sideways > 0 == plate.ledger.sideways
+    assert narrow.ledger.over_the_edge > 0 == plate.ledger.over_the_edge
 
 
 @pytest.mark.usefixtures("mono")

@@ -241,8 +241,8 @@ def test_ledger_counts_rays_and_patches_count_deposits():
     record = measured("edges", "next_event", points=3)
     ledger = record.ledger
     assert ledger.emitted == RAYS
-    assert min(ledger.reflected, ledger.missed, ledger.sideways) > 0
-    assert ledger.transmitted == ledger.absorbed == 0
+    assert min(ledger.reflected, ledger.missed, ledger.over_the_edge) > 0
+    assert ledger.sideways == ledger.absorbed == 0
     first = measured("edges", "next_event", points=3, order=1)
     assert ledger.reflected < first.counts.sum() <= 4 * (RAYS - ledger.missed)
     assert first.counts.sum() < record.counts.sum()

@@ -1,0 +1,368 @@
+"""Free-standing specimens: light counts by its direction, whatever side it passes."""
+
+import gonio_mi as gonio
+
+# isort: split
+import mitsuba as mi
+import numpy as np
+import pytest
+from budget import (
+    agree,
+    difference_scores,
+    disagree,
+    normal_scores,
+    scores,
+    single,
+    verdict,
+)
+from slabs import medium
+from specimens import heightfield, specimen_of
+
+from gonio_mi.collector.directions import direction
+from gonio_mi.results.summary import summarize
+
+pytestmark = pytest.mark.usefixtures("mono")
+
+WHITE = {"type": "diffuse", "reflectance": 1.0}
+NULL = {"type": "null"}
+RAYS = 2**15
+THETA_I = 40.0
+COS, SIN = np.cos(np.radians(THETA_I)), np.sin(np.radians(THETA_I))
+WI = np.array([SIN, 0.0, COS])
+
+# Convex bodies, and the mean of n.z over the light that meets them from THETA_I, phi 0.
+BODIES = {
+    "sphere": ({"type": "sphere"}, 2 / 3 * COS),
+    "cylinder": (
+        {"type": "cylinder", "p0": [0, -1, 0], "p1": [0, 1, 0]},
+        np.pi / 4 * COS,
+    ),
+    "cube": ({"type": "cube"}, COS / (COS + SIN)),
+}
+
+
+def measured(shape, theta_i=THETA_I, bsdf=WHITE, **settings):
+    """Lit over more than its shadow, which on the plane of its top is beside it."""
+    settings = {
+        "rays": RAYS,
+        "footprint": 2.9,
+        "collector": "solid:4x6",
+        "sampler": "independent",
+    } | settings
+    return gonio.measure(shape | {"bsdf": bsdf}, theta_i, **settings)
+
+
+def total_score(record, expected, of="dhr"):
+    """Normal score of a total."""
+    t = (getattr(record, of) - expected) / getattr(record, f"{of}_std_err")
+    return single(normal_scores(t, record.n_batches - 1).item())
+
+
+# -------------------------------------------------------------- convex bodies, far away
+
+
+@pytest.mark.parametrize(
+    ("body", "estimator"),
+    [
+        ("sphere", "weighted"),
+        ("sphere", "analog"),
+        ("cylinder", "analog"),
+        ("cylinder", "next_event"),
+        ("cube", "weighted"),
+        ("cube", "next_event"),
+    ],
+)
+def test_white_bodies_have_the_totals_of_their_normals(body, estimator):
+    """In closed form: a face sends (1 + n.z) / 2 up. Twin: less what passed a side."""
+    shape, mean = BODIES[body]
+    record = measured(shape, estimator=estimator)
+    ledger = record.ledger
+    met = ledger.emitted - ledger.missed
+    assert ledger.reflected + ledger.transmitted + ledger.rejected == met
+    agree(total_score(record, (1 + mean) / 2))
+    agree(total_score(record, (1 - mean) / 2, "dht"))
+    kept = 1 - ledger.over_the_edge / met
+    disagree(total_score(record, kept * (1 + mean) / 2))
+
+
+def lambert_sphere(subdivision):
+    """Flux fractions of patches of both hemispheres (Lambert 1760; Schoenberg 1929)."""
+    theta_low, theta_high, phi_low, phi_high = subdivision.cells.T[..., None, None]
+    x, weights = np.polynomial.legendre.leggauss(12)
+    z_low, z_high = np.cos(theta_high), np.cos(theta_low)
+    z = (z_low + z_high + (z_high - z_low) * x[:, None]) / 2
+    phi = (phi_low + phi_high + (phi_high - phi_low) * x) / 2
+    area = (z_high - z_low) * (phi_high - phi_low) / 4 * weights[:, None] * weights
+    across = np.sqrt(1 - z**2) * np.cos(phi)
+    flux = []
+    for sign in (1, -1):
+        phase = np.arccos(SIN * across + sign * COS * z)
+        bright = np.sin(phase) + (np.pi - phase) * np.cos(phase)
+        flux.append((2 / (3 * np.pi**2) * bright * area).sum(axis=(1, 2)))
+    return np.reshape(flux, (2, *subdivision.shape))
+
+
+@pytest.mark.parametrize("estimator", ["weighted", "next_event"])
+def test_a_white_sphere_is_lamberts(estimator):
+    """All patches in closed form. Twin: those of the other azimuths."""
+    record = measured(
+        {"type": "sphere"}, footprint=2.2, estimator=estimator, rays=2**17
+    )
+    expected = lambert_sphere(record.subdivision)
+    # exact: the mean normal of the total above
+    np.testing.assert_allclose(expected[0].sum(), (1 + 2 / 3 * COS) / 2, rtol=1e-4)
+    for hemisphere in (0, 1):
+        agree(verdict(scores(record, expected[hemisphere], hemisphere)))
+        mirrored = np.roll(expected[hemisphere], 3, axis=1)
+        disagree(verdict(scores(record, mirrored, hemisphere)))
+
+
+# ------------------------------------------------------------------- a collector nearby
+
+
+def lit_points(body, n, rng):
+    """Points of a body that light meets, and their normals."""
+    if body == "sphere":
+        r, phi = np.sqrt(rng.uniform(size=n)), rng.uniform(0, 2 * np.pi, n)
+        x, y = r * np.cos(phi), r * np.sin(phi)
+        axes = np.array([[COS, 0, -SIN], [0, 1, 0], WI])
+        p = np.stack([x, y, np.sqrt(1 - r**2)], axis=1) @ axes
+        return p, p
+    p = rng.uniform(-1, 1, (n, 3))
+    top = rng.uniform(size=n) < COS / (COS + SIN)
+    p[top, 2] = p[~top, 0] = 1
+    return p, np.stack([~top, 0 * top, top], axis=1).astype(float)
+
+
+def arrived(p, d, radius, shape):
+    """Counts of the patches of both hemispheres, of equal steps of z and azimuth."""
+    along = np.sum(p * d, axis=1)
+    t = -along + np.sqrt(along**2 + radius**2 - np.sum(p * p, axis=1))
+    x, y, z = (p + t[:, None] * d).T / radius
+    ring = ((1 - np.abs(z)) * shape[0]).astype(int)
+    sector = (np.arctan2(y, x) / (2 * np.pi) % 1 * shape[1]).astype(int)
+    number = np.ravel_multi_index((z < 0, ring, sector), (2, *shape))
+    return np.bincount(number, minlength=2 * shape[0] * shape[1])
+
+
+@pytest.mark.parametrize("body", ["sphere", "cube"])
+def test_white_bodies_in_a_collector_nearby(body):
+    """Against rays in NumPy, and `next_event`. Twin: the same rays from far away."""
+    near = {"collector_radius": 2.5}
+    record = measured(BODIES[body][0], **near)
+    rng, n = np.random.default_rng(0), 400_000
+    p, normal = lit_points(body, n, rng)
+    # Lambert's law: the normal and a point of the unit sphere
+    d = normal + direction(
+        np.arccos(rng.uniform(-1, 1, n)), rng.uniform(0, 2 * np.pi, n)
+    )
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    counts, met = record.counts.ravel(), record.counts.sum()
+
+    def compared(radius):
+        expected = arrived(p, d, radius, (4, 6))
+        share = (counts + expected) / (met + n)
+        some = share > 30 / met
+        z = counts / met - expected / n
+        spread = np.sqrt(share * (1 - share) * (1 / met + 1 / n))
+        return verdict(z[some] / spread[some])
+
+    agree(compared(2.5))
+    disagree(compared(1e6))
+    deposited = measured(BODIES[body][0], **near, estimator="next_event", seed=1)
+    far = measured(BODIES[body][0], estimator="next_event", seed=1)
+    for hemisphere in (0, 1):
+        agree(verdict(difference_scores(record, deposited, hemisphere)))
+        disagree(verdict(difference_scores(record, far, hemisphere)))
+
+
+# ------------------------------------------------------------------------------- plates
+
+PAINT = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": 0.5}}
+MIRROR = {
+    "type": "twosided",
+    "bsdf": {"type": "conductor", "material": "none", "specular_reflectance": 0.75},
+}
+
+
+def plate(tilt):
+    return {
+        "type": "rectangle",
+        "to_world": mi.ScalarTransform4f().rotate([0, 1, 0], tilt),
+    }
+
+
+@pytest.mark.parametrize(
+    ("tilt", "theta_i", "phi_i", "side", "theta_o", "estimator"),
+    [
+        (17, 37, 180, "front", 71, "weighted"),
+        (17, 37, 0, "back", 71, "weighted"),
+        (44, 0, 0, "front", 88, "weighted"),
+        (60, 0, 0, "front", 120, "weighted"),
+        (60, 0, 0, "front", 120, "next_event"),
+    ],
+)
+def test_tilted_mirrors_reflect_all_in_one_direction(
+    tilt, theta_i, phi_i, side, theta_o, estimator
+):
+    """Rounding: three quarters of the light, in the patch of twice the angle."""
+    settings = {"phi_i": phi_i, "side": side, "estimator": estimator}
+    record = measured(
+        plate(tilt), theta_i, MIRROR, footprint=0.2, rays=1000, **settings
+    )
+    below = theta_o > 90
+    totals = record.dhr, record.dht
+    assert abs(totals[below] - 0.75) < 2.0**-22
+    assert totals[not below] == 0
+    azimuth = 0.0 if side == "front" else np.pi
+    up = direction(np.radians(min(theta_o, 180 - theta_o)), azimuth)
+    number = record.subdivision.patch(up)
+    assert np.flatnonzero(record.counts[int(below)]).tolist() == [number]
+
+
+@pytest.mark.parametrize("estimator", ["weighted", "next_event"])
+def test_tilted_paint_sends_some_light_down(estimator):
+    """In closed form: (1 - cos tilt) / 2 of it. Twin: of another tilt."""
+    tilt = np.radians(35)
+    record = measured(plate(35), 20.0, PAINT, footprint=0.2, estimator=estimator)
+    agree(total_score(record, 0.25 * (1 + np.cos(tilt))))
+    agree(total_score(record, 0.25 * (1 - np.cos(tilt)), "dht"))
+    disagree(total_score(record, 0.25 * (1 - np.cos(1.1 * tilt)), "dht"))
+
+
+def test_a_tilted_mirror_in_a_collector_nearby():
+    """Where mirrored rays meet the sphere, of many of them. Twin: far, all above.
+
+    They leave the plate at 88 degrees, half of them from below the middle.
+    """
+    record = measured(
+        plate(44), 0.0, MIRROR, footprint=0.5, collector_radius=1.6, rays=2**16
+    )
+    x, y = np.random.default_rng(0).uniform(-0.5, 0.5, (2, 10**6))
+    x, y = (one[np.hypot(x, y) < 0.5] for one in (x, y))
+    p = np.stack([x, y, -x * np.tan(np.radians(44))], axis=1)
+    d = np.broadcast_to(direction(np.radians(88), 0.0), p.shape)
+    below = arrived(p, d, 1.6, (1, 1))[1] / len(p)
+    met = record.ledger.emitted
+    spread = np.sqrt(below * (1 - below) * (1 / met + 1 / len(p)))
+    agree(single((record.ledger.transmitted / met - below) / spread))
+    disagree(single(below / spread))
+    assert abs(record.dhr + record.dht - 0.75) < 2.0**-22
+
+
+# ------------------------------------------------- campaigns, orders, media, profiles
+
+
+def test_a_campaign_of_a_ball(tmp_path):
+    """In closed form at each direction; exact: its folder holds the same."""
+    ball = {"ball": {"type": "sphere", "bsdf": WHITE}}
+    theta_i = [10, 50]
+    settings = {"theta_i": theta_i, "footprint": 3.0, "rays": RAYS, "folder": tmp_path}
+    settings |= {"sampler": "independent", "collector": "solid:4x6"}
+    record = gonio.campaign(ball, **settings)["ball"]
+    for one, angle in zip(record, theta_i):
+        agree(total_score(one, (1 + 2 / 3 * np.cos(np.radians(angle))) / 2))
+        disagree(total_score(one, (1 + 2 / 3 * np.cos(np.radians(60 - angle))) / 2))
+    assert 0 < record.ledger.over_the_edge < record.ledger.emitted
+    assert gonio.campaign(ball, **settings)["ball"].tallies == record.tallies
+
+
+def test_orders_of_two_balls():
+    """Exact: each order apart as alone, and over the edge as many as of all rays."""
+    pair = {
+        "type": "scene",
+        "a": {"type": "sphere", "center": [-1, 0, 0], "bsdf": WHITE},
+        "b": {"type": "sphere", "center": [1, 0, 0.5], "bsdf": WHITE},
+    }
+    settings = {"rays": 4000, "collector": "solid:2x4"}
+    found = gonio.measure_orders(pair, 50, orders=(1, "2+"), **settings)
+    for order, record in found.items():
+        alone = gonio.measure(pair, 50, order=order, **settings)
+        assert record.tallies == alone.tallies
+        assert 0 < record.ledger.over_the_edge < record.ledger.emitted
+    every = gonio.measure(pair, 50, **settings).ledger
+    assert (
+        sum(one.ledger.over_the_edge for one in found.values()) == every.over_the_edge
+    )
+
+
+def test_a_ball_of_white_fog_loses_nothing():
+    """Rounding: all leaves, above or below; in closed form: what goes straight on.
+
+    Twin: the latter of a denser ball.
+    """
+    fog = {"type": "sphere", "interior": medium(1.0, 1.0)}
+    settings = {"footprint": 2.2, "bsdf": NULL, "rays": 2**17}
+    record = measured(fog, **settings)
+    ledger = record.ledger
+    assert ledger.reflected + ledger.transmitted == ledger.emitted - ledger.missed
+    assert abs(record.dhr + record.dht - 1) < 1e-6  # a few thousand events
+    straight = measured(fog, **settings, order=0)
+    assert straight.ledger.over_the_edge > 0
+
+    def passed(depth):
+        """Mean of exp(-depth c) over chords of a ball, c by the longest."""
+        return 2 / depth**2 * (1 - (1 + depth) * np.exp(-depth))
+
+    agree(total_score(straight, passed(2.0), "dht"))
+    disagree(total_score(straight, passed(2.2), "dht"))
+
+
+def test_exit_profile_of_a_white_block():
+    """Rounding: rings and what is beyond add up to all light, by sides too."""
+    block = {
+        "type": "cube",
+        "to_world": mi.ScalarTransform4f().translate([0, 0, -0.5]).scale([1, 1, 0.5]),
+        "bsdf": NULL,
+        "interior": medium(4.0, 1.0),
+    }
+    radii = np.array([0.0, 0.5, 2.0])
+    found = gonio.exit_profile(block, radii, rays=5000)
+    per_area = found.reflectance + found.transmittance
+    rings = per_area[:, 0] @ (np.pi * np.diff(radii**2))
+    assert abs(rings - 1) < 1e-5
+    assert not found.beyond.any()
+    assert found.ledger.over_the_edge > 0
+
+
+# ----------------------------------------------------------------------------- warnings
+
+
+def pane():
+    """Two faces of a glass plate, without the walls between them."""
+    glass = {"type": "rectangle", "bsdf": {"type": "dielectric"}}
+    end = mi.ScalarTransform4f().translate([0, 0, -1]).rotate([1, 0, 0], 180)
+    return {"top": glass, "end": glass | {"to_world": end}}
+
+
+@pytest.mark.parametrize(
+    ("shapes", "period", "edges"),
+    [
+        (lambda: {"type": "sphere"}, "none", "closed"),
+        (lambda: {"type": "cube"}, "none", "closed"),
+        (lambda: BODIES["cylinder"][0] | {"flip_normals": False}, "none", "open"),
+        (lambda: {"type": "disk", "to_world": plate(30)["to_world"]}, "none", "closed"),
+        (lambda: plate(17), "none", "open"),
+        (heightfield, "none", "open"),
+        (heightfield, "box", None),
+        (pane, "none", "open"),
+        (lambda: {"type": "rectangle"}, "none", None),
+    ],
+)
+def test_what_may_stand_for_a_larger_surface(shapes, period, edges):
+    """An open surface over all of its box; no solid, no lone leaf, and no cell."""
+    assert specimen_of(shapes(), period).edges == edges
+
+
+@pytest.mark.filterwarnings("ignore:.* rays left over the edge")
+def test_a_warning_where_light_leaves_over_edges_that_may_be_none():
+    """Twin: not where there is nothing but a ball."""
+    said = [
+        [one for one in summarize(record).warnings if "over the edge" in one]
+        for record in (
+            measured(heightfield(), 60, footprint="full", bsdf=PAINT, rays=2000),
+            measured({"type": "sphere"}, rays=2000),
+        )
+    ]
+    assert [len(one) for one in said] == [1, 0]
+    assert "give a period (--period box)" in said[0][0]
