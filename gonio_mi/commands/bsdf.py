@@ -14,6 +14,8 @@ import mitsuba as mi
 from ..errors import SettingError
 from ..exports.bsdf_file import RAYS, bsdf, hemispherical
 from ..exports.daylight import VISIBLE_NM, luminous
+from ..exports.loss import in_words
+from ..exports.radiance_export import READ_BACK, read_back
 from ..files import check_output
 from ..formats.height_maps import is_height_map
 from ..formats.meshes import is_mesh
@@ -142,6 +144,9 @@ def run(options: Namespace) -> int:
     if not options.quiet:
         for name, record in records.items():
             tell(_line(name, luminous(record)))
+        sides = [records["front"], records["back"]]
+        for line in in_words(read_back(sides, options.output)):
+            tell(f"{READ_BACK}: {line}")
         # of wavelengths, visible and solar records are of the same rays
         sent = records if options.solar is not None else ("front", "back")
         rays = sum(records[name].ledger.emitted for name in sent)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..array_types import Floats
+from ..formats.scatter import PatchMeans
 from ..results.record import Record
 from ..single_precision import ROUNDING
 
@@ -64,7 +65,7 @@ class Loss:
         )
 
 
-def fractions_of(record: Record) -> Floats:
+def fractions_of(record: Record | PatchMeans) -> Floats:
     """Flux fractions with the incident direction as first axis, also of one."""
     return record.flux_fraction if record.stacked else record.flux_fraction[None]
 

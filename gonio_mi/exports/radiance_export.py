@@ -18,9 +18,9 @@ from ..formats import radiance
 from ..formats.radiance import BASES, RANKS, Product, RadianceBSDF
 from ..formats.tensor_tree import TensorTree, isotropic_incidence
 from ..results.record import Record, wavelengths_nm
-from .daylight import of_daylight
+from .daylight import VISIBLE, lit_by, of_daylight
 from .loss import Loss, fractions_of, losses
-from .resampling import Material, resampled, specular_peaks
+from .resampling import N_AT_ONCE, Material, resampled, specular_peaks
 
 # Cells per axis of tensor trees; those of rank 3 are cheap enough to be finer.
 TREE_SIZES = {3: 64, 4: 32}
@@ -38,6 +38,9 @@ HALF_WEDGE = 0.05
 # reciprocal specimens of all kinds reaches 0.015, by the patches of their files.
 # Means of pairs of patches are over this many points per side.
 MAX_EXCHANGED, POINTS_OF_PAIRS = 0.03, 3
+
+# Whose losses those of :func:`read_back` are.
+READ_BACK = "measured back with goniometric"
 
 # Incident directions that are less apart have no lobes between them, in degrees.
 MAX_GAP = 45
@@ -101,6 +104,36 @@ def write_radiance(
         noise = max(loss.noise for loss in losses_of_side)
         side.warn_if_exchanged(written, noise)
     return [loss for losses_of_side in every for loss in losses_of_side]
+
+
+def read_back(records: Sequence[Record], path: str | PathLike[str]) -> list[Loss]:
+    """Losses of a file at its records' directions, as `goniometric` reads it.
+
+    Parameters are as of :func:`write_radiance`, which wrote the file.
+    """
+    every = []
+    for record in records:
+        with open(path, "rb") as stream:
+            material = Material(radiance.material(stream, record.asked.side))
+        n = -(-len(record) // N_AT_ONCE)
+        theirs: Any = [
+            np.concatenate(
+                [
+                    material.carried(hemisphere, theta_i, phi_i, record.subdivision)
+                    for theta_i, phi_i in zip(
+                        np.array_split(record.theta_i, n),
+                        np.array_split(record.phi_i, n),
+                    )
+                ]
+            )
+            for hemisphere in range(record.n_hemispheres)
+        ]
+        theirs = np.stack(theirs, axis=1)
+        seen = lit_by(VISIBLE, record)
+        if len(seen.channels) == 1:
+            theirs = np.mean(theirs, axis=-1, keepdims=True)
+        every += losses(seen, theirs.reshape(fractions_of(seen).shape))
+    return every
 
 
 def _check_sides(records: Sequence[Record]) -> None:

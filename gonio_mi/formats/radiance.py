@@ -6,21 +6,22 @@ patch by the azimuth of flight; matrices are rows of exit and columns of inciden
 
 import itertools
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, cast
 from xml.sax.saxutils import escape
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..array_types import Floats, Integers
-from ..collector import EqualProjectedSolidAngle
-from ..collector.directions import direction as unit_vectors
+from ..collector.borders import Borders
+from ..collector.directions import angles, direction as unit_vectors
 from ..collector.hemisphere import Subdivision
 from ..collector.klems import KLEMS, Klems
+from ..collector.shirley_chiu import ShirleyChiu
 from ..errors import FileFormatError
 from ..files.checks import require, size_of
 from ..files.table_text import decimal
@@ -46,6 +47,8 @@ DIRECTIONS = {
     ("back", 0): "Reflection Front",
     ("back", 1): "Transmission Front",
 }
+
+OTHER = {"front": "back", "back": "front"}
 
 # The same in words, for those who read a file.
 BLOCKS = (
@@ -87,14 +90,13 @@ TREE_NAMES = ("Visible", "CIE-u", "CIE-v")
 # u' and v' of equal energy, which black has in Radiance.
 WHITE = (4 / 19, 9 / 19)
 
-# Azimuths of incidence at which tensor trees for any materials are taken.
-N_AZIMUTHS = 24
+# Rings of cells in which tensor trees are read at most, by their rank, and tilted
+# incident directions of those of rank 4; fewest and most cells per axis of the square of exit.
+MAX_RINGS, MAX_INCIDENT = {3: 64, 4: 16}, 960
+MIN_CELLS, MAX_CELLS = 8, 256
 
-# Angles of incidence at which tensor trees are taken, rings and sectors of patches by
-# the rank of a tree, and points per side of a patch.
-TREE_INCIDENCES = np.array([0, 10, 20, 30, 40, 50, 60, 70, 80.0])
-TREE_PATCHES = {3: (45, 90), 4: (32, 64)}
-TREE_POINTS = 3
+# Points per axis of the square by which cells overlap patches.
+OVERLAP_POINTS = 512
 
 # Half the width in degrees of what stands for an azimuth on an edge of patches.
 EDGE_OFFSET = 1e-3
@@ -284,12 +286,16 @@ def read(stream: BinaryIO) -> dict[tuple[str, str], Floats | TensorTree]:
 
 
 def _root(stream: BinaryIO) -> ElementTree.Element:
-    """Root element of an XML file without a DTD, tags without name spaces."""
+    """Root element of an XML file without a DTD, tags without name spaces.
+
+    Text before the XML declaration, as genBSDF may leave there, is passed over.
+    """
     size = size_of(stream)
     require(size <= MAX_BYTES, f"it has {size} bytes, more than any such file needs")
     parser = ElementTree.XMLParser(target=_WithoutDTD())
+    data = stream.read()
     try:
-        root = ElementTree.parse(stream, parser).getroot()
+        root = ElementTree.fromstring(data[max(data.find(b"<?xml"), 0) :], parser)
     except FileFormatError:
         raise
     except (ElementTree.ParseError, ValueError, LookupError) as error:
@@ -375,10 +381,13 @@ class RadianceBSDF:
         self.blocks: dict[tuple[str, str], Any] = read(stream)
         first: Any = next(iter(self.blocks.values()))
         self.rank: int | None = None
+        #: cells per axis of trees
+        self.size = 1
         self.basis: Any = None
         self._names: tuple[str, ...] = MATRIX_NAMES
         if isinstance(first, TensorTree):
             self.rank, self._names = first.rank, TREE_NAMES
+            self.size = max(tree.size for tree in self.blocks.values())
         else:
             self.basis = KLEMS_BASES[basis_of(first)]
             blocks: Any = self.blocks.values()
@@ -396,7 +405,15 @@ class RadianceBSDF:
 
     def holds(self, side: str, hemisphere: int) -> bool:
         """Whether there is reflection (0) or transmission (1) of a lit face."""
-        return ("Visible", DIRECTIONS[side, hemisphere]) in self.blocks
+        if ("Visible", DIRECTIONS[side, hemisphere]) in self.blocks:
+            return True
+        return self.is_reciprocal(side, hemisphere)
+
+    def is_reciprocal(self, side: str, hemisphere: int) -> bool:
+        """Whether the file tells this transmission by that of the other side only."""
+        names = [("Visible", DIRECTIONS[face, 1]) for face in (side, OTHER[side])]
+        told = [name in self.blocks for name in names]
+        return hemisphere == 1 and told == [False, True]
 
     def values(
         self,
@@ -407,6 +424,9 @@ class RadianceBSDF:
         wo: Floats,
     ) -> Floats:
         """BRDF or BTDF in 1/sr, shape ``(n, channels)``.
+
+        Transmission that the file tells of the other side only is that of light that
+        flies back, as Radiance has it.
 
         Parameters
         ----------
@@ -419,10 +439,15 @@ class RadianceBSDF:
         wo : ndarray, shape (n, 3)
             Unit vectors of exit; only the azimuth and the angle with the normal count.
         """
+        wo = wo * [1, 1, 0] + np.abs(wo) * [0, 0, 1]
+        if self.is_reciprocal(side, hemisphere):
+            wi = unit_vectors(np.radians(theta_i), np.radians(phi_i))
+            side, (theta_i, phi_i) = OTHER[side], np.degrees(angles(wo))
+            wo = np.broadcast_to(wi, wo.shape)
         direction = DIRECTIONS[side, hemisphere]
         blocks = [self.blocks[name, direction] for name in self._names]
         if self.rank is None:
-            rows = self.basis.patch(wo * [1, 1, 0] + np.abs(wo) * [0, 0, 1])
+            rows = self.basis.patch(wo)
             columns = incident_patch(theta_i, phi_i, self.basis)
             parts = np.stack([block[rows, columns] for block in blocks], axis=-1)
         else:
@@ -461,29 +486,79 @@ def material(stream: BinaryIO, side: str) -> PatchMeans:
     bsdf = RadianceBSDF(stream)
     held = [h for h in (0, 1) if bsdf.holds(side, h)]
     require(bool(held), f"it holds no light that meets its {side}")
-    if bsdf.rank is None:
-        # at the middles of rings, of which the first is one patch around the pole, at
-        # as many azimuths as the ring has that has most, on both sides of edges there
-        patches, edges = bsdf.basis, bsdf.basis.theta_deg
-        angles = np.array([0, *(np.add(edges[1:-1], edges[2:]) / 2)])
-        n, turns = max(patches.n_phi), [-EDGE_OFFSET, EDGE_OFFSET]
-        wo = unit_vectors(*(angle[:, 0] for angle in patches.middles))[:, None]
-    else:
-        patches = EqualProjectedSolidAngle(*TREE_PATCHES[bsdf.rank])
-        angles, wo = TREE_INCIDENCES, patches.points(TREE_POINTS)
-        n, turns = (N_AZIMUTHS if bsdf.rank == 4 else 1), [0.0]
-    grid = np.meshgrid(angles, np.arange(n) * (360 / n), indexing="ij")
+    means = _matrix_means if bsdf.rank is None else _tree_means
+    found = means(bsdf, side, held)
+    if bsdf.is_reciprocal(side, 1):
+        note = f"it tells the transmission of the {OTHER[side]} only, and that of the "
+        found = replace(found, notes=(f"{note}{side} is taken by reciprocity",))
+    return found
+
+
+def _matrix_means(bsdf: RadianceBSDF, side: str, held: Sequence[int]) -> PatchMeans:
+    """Means over the patches of a Klems basis.
+
+    At the middles of rings, of which the first is one patch around the pole, at as many
+    azimuths as the ring has that has most, on both sides of edges there.
+    """
+    patches, edges = bsdf.basis, bsdf.basis.theta_deg
+    thetas = np.array([0, *(np.add(edges[1:-1], edges[2:]) / 2)])
+    n, turns = max(patches.n_phi), [-EDGE_OFFSET, EDGE_OFFSET]
+    wo = unit_vectors(*(angle[:, 0] for angle in patches.middles))
+    grid = np.meshgrid(thetas, np.arange(n) * (360 / n), indexing="ij")
     theta_i, phi_i = (angle.ravel() for angle in grid)
     shape = len(theta_i), max(held) + 1, *patches.shape, len(bsdf.channels)
     means = np.zeros(shape)
     for hemisphere, (index, theta) in itertools.product(held, enumerate(theta_i)):
         values = [
-            bsdf.values(side, hemisphere, theta, phi_i[index] + turn, wo.reshape(-1, 3))
+            bsdf.values(side, hemisphere, theta, phi_i[index] + turn, wo)
             for turn in turns
         ]
-        of_points = np.mean(values, axis=0).reshape(*wo.shape[:2], -1)
-        means[index, hemisphere] = of_points.mean(axis=1).reshape(shape[2:])
+        means[index, hemisphere] = np.mean(values, axis=0).reshape(shape[2:])
     return PatchMeans.of(means, patches, (theta_i, phi_i), bsdf.channels)
+
+
+def _tree_means(bsdf: RadianceBSDF, side: str, held: Sequence[int]) -> PatchMeans:
+    """Means over rings of a tree's cells: the light of each cell is divided among them.
+
+    Rings of the square's cells have the same borders for incidence and for exit, equal
+    steps of the sine. Along the normal it is the mean of the cells that touch it.
+    """
+    from scipy.sparse import coo_array  # of which reading a matrix needs nothing
+
+    rank = cast(int, bsdf.rank)
+    size = max(bsdf.size, MIN_CELLS)
+    n_rings = min(size // 2, MAX_RINGS[rank])
+    edges = np.degrees(np.arcsin(np.arange(n_rings + 1) / n_rings))
+    patches = Borders(tuple(edges), tuple(np.linspace(0, 360, 8 * n_rings + 1)))
+    # cells of exit; by exchange those of rank 3 are turned, and so taken finer
+    finer = 4 if rank == 3 and bsdf.is_reciprocal(side, 1) else 1
+    cells = ShirleyChiu(min(size * finer, MAX_CELLS))
+    points = cells.points(-(-OVERLAP_POINTS // cells.size))
+    number = np.broadcast_to(np.arange(len(points))[:, None], points.shape[:2])
+    part = np.full(number.size, np.pi / points[..., 0].size)
+    index = patches.patch(points).ravel(), number.ravel()
+    overlap = coo_array((part, index), (patches.n_patches, len(points))).tocsr()
+    # of rank 3 about the middle of each cell; of rank 4 through the middles: ring k has
+    # 4 (2 k + 1) cells, and both azimuths around a middle are in its cell
+    rings = np.linspace(0, size // 2 - 1, n_rings).astype(int)
+    inside = [0.45, 0.75] if rank == 3 else [0.5]
+    thetas = np.degrees(np.arcsin(np.add.outer(rings, inside).ravel() * (2 / size)))
+    n = min(8 * (size - 1), MAX_INCIDENT // n_rings) if rank == 4 else 1
+    phi_i = (np.arange(n) + 0.5) * (360 / n)
+    wo = np.tile(cells.points(1)[:, 0], (n, 1))
+    flux = np.zeros((thetas.size * n, 2, *patches.shape, len(bsdf.channels)))
+    for hemisphere, (row, theta) in itertools.product(held, enumerate(thetas)):
+        values = bsdf.values(side, hemisphere, theta, phi_i.repeat(len(points)), wo)
+        for number, cell_values in enumerate(values.reshape(n, len(points), -1)):
+            light = (overlap @ cell_values).reshape(flux.shape[2:])
+            flux[row * n + number, hemisphere] = light
+    flux = np.concatenate([flux[:n].mean(axis=0, keepdims=True), flux])
+    theta_i, phi_i = (
+        np.append(0.0, angle.ravel()) for angle in np.meshgrid(thetas, phi_i, indexing="ij")
+    )
+    return PatchMeans(
+        patches, theta_i, phi_i, bsdf.channels, flux[:, : max(held) + 1]
+    )
 
 
 FORMATS = (
