@@ -90,8 +90,8 @@ TREE_NAMES = ("Visible", "CIE-u", "CIE-v")
 # u' and v' of equal energy, which black has in Radiance.
 WHITE = (4 / 19, 9 / 19)
 
-# Rings of cells in which tensor trees are read at most, by their rank, and tilted
-# incident directions of those of rank 4; fewest and most cells per axis of the square of exit.
+# Rings of cells in which tensor trees are read at most, by their rank; tilted incident
+# directions of rank 4; fewest and most cells per axis of the square of exit.
 MAX_RINGS, MAX_INCIDENT = {3: 64, 4: 16}, 960
 MIN_CELLS, MAX_CELLS = 8, 256
 
@@ -110,7 +110,8 @@ class Product:
     ----------
     name, manufacturer : str
     thickness, width, height : float, optional
-        In metres.
+        In metres. A file states a thickness of 0 if it is unknown: pyWinCalc reads
+        none without.
     """
 
     name: str = "gonio-mi"
@@ -127,6 +128,7 @@ class Product:
         ]
         for key in ("Thickness", "Width", "Height"):
             value = getattr(self, key.lower())
+            value = 0.0 if value is None and key == "Thickness" else value
             if value is not None:
                 lines.append(f'<{key} unit="meter">{value:.7g}</{key}>')
         return "\n".join([*lines, "<DeviceType>Other</DeviceType>"])
@@ -222,7 +224,8 @@ def _block(wavelength: str, direction: str, block: Floats | TensorTree) -> str:
             f"<ColumnAngleBasis>{name}</ColumnAngleBasis>\n"
             f"<RowAngleBasis>{name}</RowAngleBasis>"
         )
-        text = "\n".join(" ".join(f"{v:.7g}" for v in row) for row in block) + "\n"
+        # as WINDOW has them; pyWinCalc reads no other
+        text = ",\n".join(", ".join(f"{v:.7g}" for v in row) for row in block) + "\n"
     kind = "BRDF" if "Reflection" in direction else "BTDF"
     return f"""<WavelengthData>
 <LayerNumber>System</LayerNumber>
@@ -554,11 +557,10 @@ def _tree_means(bsdf: RadianceBSDF, side: str, held: Sequence[int]) -> PatchMean
             flux[row * n + number, hemisphere] = light
     flux = np.concatenate([flux[:n].mean(axis=0, keepdims=True), flux])
     theta_i, phi_i = (
-        np.append(0.0, angle.ravel()) for angle in np.meshgrid(thetas, phi_i, indexing="ij")
+        np.append(0.0, angle.ravel())
+        for angle in np.meshgrid(thetas, phi_i, indexing="ij")
     )
-    return PatchMeans(
-        patches, theta_i, phi_i, bsdf.channels, flux[:, : max(held) + 1]
-    )
+    return PatchMeans(patches, theta_i, phi_i, bsdf.channels, flux[:, : max(held) + 1])
 
 
 FORMATS = (

@@ -413,8 +413,7 @@ def test_tensor_trees_are_materials(tmp_path, monkeypatch):
 
     monkeypatch.setattr(radiance_export, "TREE_SIZES", {3: 32, 4: 16})
     monkeypatch.setattr(radiance_export, "CELL_POINTS", 1)
-    monkeypatch.setattr(radiance, "TREE_PATCHES", {3: (16, 32), 4: (12, 24)})
-    monkeypatch.setattr(radiance, "N_AZIMUTHS", 6)
+    monkeypatch.setattr(radiance, "MAX_INCIDENT", 48)
     record = synthetic.record(
         "projected:12x24", theta_i=(0, 20, 40, 60, 80), phi_i=(0,) * 5, power=3,
         rays=1_000_000,
