@@ -188,7 +188,7 @@ def _solar(specimen: SpecimenLike, options: Namespace) -> SpecimenLike | None:
         return None if options.solar is None else parse_specimen(options.solar)
     if options.solar is not None:
         raise SettingError("--solar and --solar-bsdf exclude each other")
-    if not (is_mesh(specimen) or is_height_map(specimen)):
+    if not (is_mesh(options.specimen) or is_height_map(options.specimen)):
         raise SettingError(
             f"--solar-bsdf applies to meshes and height maps, got {options.specimen}: "
             "name the whole specimen with --solar"

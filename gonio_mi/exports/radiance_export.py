@@ -20,7 +20,7 @@ from ..formats.tensor_tree import TensorTree, isotropic_incidence
 from ..results.record import Record, wavelengths_nm
 from .daylight import VISIBLE, lit_by, of_daylight
 from .loss import Loss, fractions_of, losses
-from .resampling import N_AT_ONCE, Material, resampled, specular_peaks
+from .resampling import Material, resampled, specular_peaks
 
 # Cells per axis of tensor trees; those of rank 3 are cheap enough to be finer.
 TREE_SIZES = {3: 64, 4: 32}
@@ -39,8 +39,8 @@ HALF_WEDGE = 0.05
 # Means of pairs of patches are over this many points per side.
 MAX_EXCHANGED, POINTS_OF_PAIRS = 0.03, 3
 
-# Whose losses those of :func:`read_back` are.
-READ_BACK = "measured back with goniometric"
+# Whose losses those of :func:`read_back` are, and at how many directions at most.
+READ_BACK, MAX_READ_BACK = "measured back with goniometric", 16
 
 # Incident directions that are less apart have no lobes between them, in degrees.
 MAX_GAP = 45
@@ -107,32 +107,22 @@ def write_radiance(
 
 
 def read_back(records: Sequence[Record], path: str | PathLike[str]) -> list[Loss]:
-    """Losses of a file at its records' directions, as `goniometric` reads it.
+    """Losses of a file as `goniometric` reads it, at some of the records' directions.
 
     Parameters are as of :func:`write_radiance`, which wrote the file.
     """
     every = []
-    for record in records:
+    for whole in records:
+        chosen = np.unique(np.linspace(0, len(whole) - 1, MAX_READ_BACK).astype(int))
+        record = lit_by(VISIBLE, Record.stack([whole[int(n)] for n in chosen]))
         with open(path, "rb") as stream:
             material = Material(radiance.material(stream, record.asked.side))
-        n = -(-len(record) // N_AT_ONCE)
-        theirs: Any = [
-            np.concatenate(
-                [
-                    material.carried(hemisphere, theta_i, phi_i, record.subdivision)
-                    for theta_i, phi_i in zip(
-                        np.array_split(record.theta_i, n),
-                        np.array_split(record.phi_i, n),
-                    )
-                ]
-            )
-            for hemisphere in range(record.n_hemispheres)
-        ]
+        asked = record.theta_i, record.phi_i, record.subdivision
+        theirs: Any = [material.carried(h, *asked) for h in range(record.n_hemispheres)]
         theirs = np.stack(theirs, axis=1)
-        seen = lit_by(VISIBLE, record)
-        if len(seen.channels) == 1:
+        if len(record.channels) == 1:
             theirs = np.mean(theirs, axis=-1, keepdims=True)
-        every += losses(seen, theirs.reshape(fractions_of(seen).shape))
+        every += losses(record, theirs.reshape(fractions_of(record).shape))
     return every
 
 
