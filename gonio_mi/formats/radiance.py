@@ -526,8 +526,6 @@ def _tree_means(bsdf: RadianceBSDF, side: str, held: Sequence[int]) -> PatchMean
     Rings of the square's cells have the same borders for incidence and for exit, equal
     steps of the sine. Along the normal it is the mean of the cells that touch it.
     """
-    from scipy.sparse import coo_array  # of which reading a matrix needs nothing
-
     rank = cast(int, bsdf.rank)
     size = max(bsdf.size, MIN_CELLS)
     n_rings = min(size // 2, MAX_RINGS[rank])
@@ -536,11 +534,7 @@ def _tree_means(bsdf: RadianceBSDF, side: str, held: Sequence[int]) -> PatchMean
     # cells of exit; by exchange those of rank 3 are turned, and so taken finer
     finer = 4 if rank == 3 and bsdf.is_reciprocal(side, 1) else 1
     cells = ShirleyChiu(min(size * finer, MAX_CELLS))
-    points = cells.points(-(-OVERLAP_POINTS // cells.size))
-    number = np.broadcast_to(np.arange(len(points))[:, None], points.shape[:2])
-    part = np.full(number.size, np.pi / points[..., 0].size)
-    index = patches.patch(points).ravel(), number.ravel()
-    overlap = coo_array((part, index), (patches.n_patches, len(points))).tocsr()
+    overlap = _overlap(cells, patches)
     # of rank 3 about the middle of each cell; of rank 4 through the middles: ring k has
     # 4 (2 k + 1) cells, and both azimuths around a middle are in its cell
     rings = np.linspace(0, size // 2 - 1, n_rings).astype(int)
@@ -551,16 +545,30 @@ def _tree_means(bsdf: RadianceBSDF, side: str, held: Sequence[int]) -> PatchMean
     wo = np.tile(cells.points(1)[:, 0], (n, 1))
     flux = np.zeros((thetas.size * n, 2, *patches.shape, len(bsdf.channels)))
     for hemisphere, (row, theta) in itertools.product(held, enumerate(thetas)):
-        values = bsdf.values(side, hemisphere, theta, phi_i.repeat(len(points)), wo)
-        for number, cell_values in enumerate(values.reshape(n, len(points), -1)):
-            light = (overlap @ cell_values).reshape(flux.shape[2:])
-            flux[row * n + number, hemisphere] = light
+        values = bsdf.values(side, hemisphere, theta, phi_i.repeat(cells.n_patches), wo)
+        for azimuth, of_cells in enumerate(values.reshape(n, cells.n_patches, -1)):
+            light = (overlap @ of_cells).reshape(flux.shape[2:])
+            flux[row * n + azimuth, hemisphere] = light
     flux = np.concatenate([flux[:n].mean(axis=0, keepdims=True), flux])
     theta_i, phi_i = (
         np.append(0.0, angle.ravel())
         for angle in np.meshgrid(thetas, phi_i, indexing="ij")
     )
     return PatchMeans(patches, theta_i, phi_i, bsdf.channels, flux[:, : max(held) + 1])
+
+
+def _overlap(cells: ShirleyChiu, patches: Subdivision) -> Any:
+    """Projected solid angle in sr that each cell has in each patch: a sparse matrix.
+
+    Shape ``(n_patches, n_cells)``; that of a cell is divided evenly among its points.
+    """
+    from scipy.sparse import coo_array  # of which reading a Klems matrix needs nothing
+
+    points = cells.points(-(-OVERLAP_POINTS // cells.size))
+    n, each, _ = points.shape
+    cell, part = np.arange(n).repeat(each), np.full(n * each, np.pi / (n * each))
+    index = patches.patch(points).ravel(), cell
+    return coo_array((part, index), (patches.n_patches, n)).tocsr()
 
 
 FORMATS = (

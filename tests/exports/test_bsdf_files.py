@@ -39,7 +39,7 @@ RHO = 0.6
 # Index of refraction of Mitsuba's glass, bk7, in air.
 GLASS = 1.5046 / 1.000277
 
-TAU_RHO, ENDS, N_BATCHES = ("tau", "rho"), ("", "_std_err"), 8
+TAU_RHO, ENDS, N_BATCHES = ("tau", "rho"), ("", "_std_err"), 32
 
 one_sided = pytest.mark.filterwarnings("ignore:the file describes light from")
 
@@ -415,7 +415,7 @@ def test_command_prints_properties_of_a_pane(tmp_path, capsys):
     Sheets of a dielectric: Fresnel's, of all reflections within, at every ray's angle,
     averaged over the quarter basis by a midpoint rule.
     """
-    words = ["bsdf", "thindielectric", "--basis", "klems-quarter", "--rays", "512"]
+    words = ["bsdf", "thindielectric", "--basis", "klems-quarter", "--rays", "2048"]
     words += ["--sampler", "independent", "--batches", str(N_BATCHES)]
     assert cli.main([*words, "--json", "-o", str(tmp_path / "pane.xml")]) == 0
     found = json.loads(capsys.readouterr().out)
