@@ -14,7 +14,7 @@ from ..collector.klems import KLEMS
 from ..collector.shirley_chiu import ShirleyChiu
 from ..errors import SettingError, abridged, checked_choice, warn
 from ..files import replacing
-from ..formats import radiance
+from ..formats import radiance, radiance_material
 from ..formats.radiance import BASES, RANKS, Product, RadianceBSDF
 from ..formats.tensor_tree import TensorTree, isotropic_incidence
 from ..results.record import Record, wavelengths_nm
@@ -116,7 +116,7 @@ def read_back(records: Sequence[Record], path: str | PathLike[str]) -> list[Loss
         chosen = np.unique(np.linspace(0, len(whole) - 1, MAX_READ_BACK).astype(int))
         record = lit_by(VISIBLE, Record.stack([whole[int(n)] for n in chosen]))
         with open(path, "rb") as stream:
-            material = Material(radiance.material(stream, record.asked.side))
+            material = Material(radiance_material.material(stream, record.asked.side))
         asked = record.theta_i, record.phi_i, record.subdivision
         theirs: Any = [material.carried(h, *asked) for h in range(record.n_hemispheres)]
         theirs = np.stack(theirs, axis=1)

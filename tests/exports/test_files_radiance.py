@@ -19,7 +19,7 @@ from gonio_mi.errors import FileFormatError
 from gonio_mi.exports import exporting, radiance_export
 from gonio_mi.exports.radiance_export import matrices, trees
 from gonio_mi.exports.resampling import Material
-from gonio_mi.formats import radiance, tensor_tree
+from gonio_mi.formats import radiance, radiance_material, tensor_tree
 from gonio_mi.formats.radiance import XYZ, RadianceBSDF
 from gonio_mi.formats.tensor_tree import TensorTree
 
@@ -284,7 +284,7 @@ def test_every_incident_cell_keeps_its_light(tmp_path, basis, size):
     tree = random_block(basis, size)
     written(tmp_path / "tree.xml", {("Visible", "Transmission Back"): tree})
     with open(tmp_path / "tree.xml", "rb") as stream:
-        material = Material(radiance.material(stream, "front"))
+        material = Material(radiance_material.material(stream, "front"))
     totals = tree.root.sum(axis=(-2, -1)) * np.pi / size**2
     half, middles = size // 2, (np.arange(size) + 0.5) / size
     if basis == "tensor3":
@@ -319,7 +319,7 @@ def test_a_window_transmits_alike_from_everywhere(tmp_path):
     )
     assert np.allclose(seen, t, rtol=2 * RADIANCE_NOISE)
     with open(tmp_path / "pane.xml", "rb") as stream:
-        means = radiance.material(stream, "back")
+        means = radiance_material.material(stream, "back")
     assert np.allclose(means.flux_fraction[:, 1].sum(axis=(1, 2)), t, rtol=DIGITS)
     assert not means.flux_fraction[:, 0].any()
     # twin: 3 x 3 points in patches 10 degrees wide
