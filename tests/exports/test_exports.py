@@ -442,7 +442,8 @@ def test_command_prints_what_was_lost(tmp_path, capsys, glossy):
     assert cli.main(["export", str(tmp_path / "run.npz"), "-o", str(target)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == str(target)
-    assert len(lines) == 3 + 1 + 1  # losses, blocks, and the finer basis
+    # losses, those of the file measured back, blocks, and the finer basis
+    assert len(lines) == 3 + 2 + 1 + 1
     assert "of the flux is in neighbouring patches, at worst" in lines[1]
     assert "--basis tensor3" in "".join(lines)
     finer = ["--basis", "tensor3"]
@@ -454,7 +455,7 @@ def test_command_prints_what_was_lost(tmp_path, capsys, glossy):
     words = "--every", "-o", str(target)
     assert cli.main(["export", str(tmp_path / "run.npz"), *words]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 7 + 1 + 1
+    assert len(lines) == 7 + 2 + 1 + 1
     assert "of the flux is in other patches" in lines[1]
     assert target.exists()
 
