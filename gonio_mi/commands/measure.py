@@ -54,7 +54,7 @@ from .campaign_options import (
     kept_after_ctrl_c,
 )
 from .file_kinds import record_of
-from .surface import add_surface_options, prepared_surface
+from .surface import add_surface_options, prepared_surface, tell_mesh
 
 USAGE = "%(prog)s SPECIMEN [--theta-i DEG ...] [options]"
 
@@ -181,6 +181,8 @@ def _run(options: Namespace, orders: Sequence[str] = ()) -> int:
     specimen, parameters = specimen_of(options.specimen, options, variants)
     check_not_read(specimen, options.specimen, options.output)
     specimen = prepared_surface(specimen, options)
+    if not options.quiet:
+        tell_mesh(specimen, options)
     settings = given_settings(options) | {
         "theta_i": _one_or_many(options.theta_i),
         "phi_i": _one_or_many(options.phi_i),

@@ -177,6 +177,25 @@ def prepared_surface(specimen: SpecimenLike, options: Namespace) -> Any:
     return specimen
 
 
+def tell_mesh(specimen: Any, options: Namespace) -> None:
+    """Print in one line how a mesh is understood; nothing of other specimens."""
+    from ..instrument.loading import load_specimen
+    from ..transport.shapes import bounds
+
+    if not is_mesh(options.specimen):
+        return
+    low, high = bounds(load_specimen(specimen, {}).shapes())
+    extents = " x ".join(f"{extent:.4g}" for extent in high - low)
+    normal = options.normal or "z"
+    _, up, _ = NORMALS[normal]
+    unit = options.unit or "of the file's unit"
+    period = "none" if options.period is None else options.period
+    tell(
+        f"{options.specimen}: {extents} {unit} in x, y and along the normal, which is "
+        f"the file's {normal}; up is its {'xyz'[up.index(1)]}; period {period}"
+    )
+
+
 def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
     micro_normals = ask("analysis", "micro_normals")

@@ -26,18 +26,19 @@ from ..transport.shapes import bounds
 from ..transport.variants import check_variant, is_parallel
 from .loading import loaded
 
-# Rotations that turn an axis of the file to +z.
+# Rotations that turn an axis of the file to +z, and what is up, its z or else y, to +y.
 NORMALS = {
     "z": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
-    "-z": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
-    "y": [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
+    "-z": [[-1, 0, 0], [0, 1, 0], [0, 0, -1]],
+    "y": [[-1, 0, 0], [0, 0, 1], [0, 1, 0]],
     "-y": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
-    "x": [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
-    "-x": [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
+    "x": [[0, 1, 0], [0, 0, 1], [1, 0, 0]],
+    "-x": [[0, -1, 0], [0, 0, 1], [-1, 0, 0]],
 }
 
-# A mesh that is so many times thinner along another axis than z may stand upright.
-MIN_UPRIGHT_RATIO = 2.0
+# A mesh that is so many times thinner along another axis than z may stand upright, and
+# be seen edge-on.
+MIN_UPRIGHT_RATIO = 1.25
 
 
 def mesh(
@@ -60,8 +61,9 @@ def mesh(
         What it is made of, as Mitsuba loads it.
     normal : {"z", "-z", "y", "-y", "x", "-x"}, optional
         Axis of the file that becomes +z, the specimen's normal: of a blind that hangs
-        upright the horizontal one from it into the room. Default: z, with a warning if
-        the mesh is much thinner along another axis.
+        upright the horizontal one from it into the room. Its z, or with ``"z"`` and
+        ``"-z"`` its y, becomes +y, which is up. Default: z, with a warning if the mesh
+        is thinner along another axis by a fourth.
     mean_plane : float, optional
         Where on that axis the mean surface is, which is put at z = 0. Default: the
         middle of the mesh.

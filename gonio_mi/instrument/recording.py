@@ -76,7 +76,8 @@ def _check_ledger(ledger: Ledger, setup: Setup) -> None:
     if 0 < ledger.missed == ledger.emitted:
         raise SpecimenError(
             f"the footprint {setup.settings.footprint} must meet the specimen, "
-            f"but all {ledger.emitted} rays missed it"
+            f"but all {ledger.emitted} rays missed it: if it has openings, give its "
+            "period, such as --period box"
         )
     _check_arrived(ledger)
     _warn_of_invalid(ledger, setup)

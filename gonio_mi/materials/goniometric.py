@@ -31,7 +31,7 @@ SIDES = (1, -1)
 # Kinds of the components: reflection and transmission.
 KINDS = (mi.BSDFFlags.GlossyReflection, mi.BSDFFlags.GlossyTransmission)
 
-# Files of which it was told that they have one face alone.
+# Warnings that were given.
 _told: set[str] = set()
 
 # Samples drawn by the cosine in radiance mode.
@@ -117,11 +117,9 @@ class Goniometric(mi.BSDF):
         back = None
         if self.files[1] is not None:
             back = _face("goniometric.back_filename", self.files[1], "back")
-        elif front.transmits and self.files[0] not in _told:
-            _told.add(self.files[0])
-            mi.Log(
-                mi.LogLevel.Warn,
-                f"goniometric: {self.files[0]} transmits, but holds no light that "
+        elif front.transmits:
+            _warn_once(
+                f"{self.files[0]} transmits, but holds no light that "
                 "meets the other face, which is black: name a record measured with "
                 'side="back", or of equal faces the same file, as back_filename',
             )
@@ -270,6 +268,13 @@ def _seen(v: mi.Vector3f, side: int) -> mi.Vector3f:
     return mi.Vector3f(v.x, v.y, v.z * side)
 
 
+def _warn_once(text: str) -> None:
+    """Log a warning, unless it was given before."""
+    if text not in _told:
+        _told.add(text)
+        mi.Log(mi.LogLevel.Warn, f"goniometric: {text}")
+
+
 def _resolved(name: str) -> str:
     """Path of a file where Mitsuba looks for it."""
     return str(mi.file_resolver().resolve(name))
@@ -303,13 +308,13 @@ def _lobes(path: str, side: str) -> tuple[MeasuredLobes, Floats | None]:
     else:
         material = ask("exchange", "load_material")(path, side)
     from_back = isinstance(material, Record) and material.asked.side == "back"
-    if side == "front" and from_back and path not in _told:
-        _told.add(path)
-        mi.Log(
-            mi.LogLevel.Warn,
-            f"goniometric: {path} was measured from the back, and is the front of this "
+    if side == "front" and from_back:
+        _warn_once(
+            f"{path} was measured from the back, and is the front of this "
             "material: name it as back_filename if that is meant",
         )
+    for note in () if isinstance(material, Record) else material.notes:
+        _warn_once(f"{path}: {note}")
     lobes = MeasuredLobes(material, _mixture(material))
     return lobes, wavelengths_nm(material.channels)
 

@@ -50,7 +50,7 @@ class Material:
 
     Parameters
     ----------
-    record : Record
+    record : Record or PatchMeans
     peaks : ndarray, shape (n_incident, n_hemispheres, channels), optional
         Flux fractions at the mirror direction, and straight on, that are taken out: see
         :func:`specular_peaks`.
@@ -70,10 +70,12 @@ class Material:
         If the incident directions are unknown or no grid; see `MeasuredLobes`.
     """
 
-    def __init__(self, record: Record, peaks: Floats | None = None) -> None:
+    def __init__(
+        self, record: Record | PatchMeans, peaks: Floats | None = None
+    ) -> None:
         self.channels = record.channels
-        self.n_hemispheres = record.n_hemispheres
         flux = fractions_of(record)
+        self.n_hemispheres = flux.shape[1]
         if peaks is None:
             peaks = np.zeros((*flux.shape[:2], flux.shape[-1]))
         else:
@@ -158,10 +160,12 @@ class Material:
         """
         points, flux = self._points(hemisphere)
         n, each = len(theta_i), len(points)
+        light = np.zeros((n, patches.n_patches, len(self.channels)))
+        if not each:
+            return light
         wi: Any = direction(np.radians(theta_i), np.radians(phi_i))
         xy = mi.Point2f(np.ascontiguousarray(np.tile(points, (n, 1)).T, np.float32))
         bins, size = np.repeat(np.arange(n), each), n * patches.n_patches
-        light = np.zeros((n, patches.n_patches, len(self.channels)))
         parts = self._face.carried(vectors(np.repeat(wi, each, axis=0)), xy, hemisphere)
         for row, share, wo in parts:
             dr.eval(row, share, wo)
@@ -223,7 +227,7 @@ def specular_peaks(record: Record) -> Floats:
     return peaks
 
 
-def _specular_patch(record: Record) -> Any:
+def _specular_patch(record: Record | PatchMeans) -> Any:
     """Patches of the mirror directions, which are also those straight on."""
     opposite = direction(np.radians(record.theta_i), np.radians(record.phi_i) + np.pi)
     return record.subdivision.patch(opposite)

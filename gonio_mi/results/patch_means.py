@@ -20,6 +20,8 @@ class PatchMeans:
     flux_fraction : ndarray
         ``(n_incident, n_hemispheres, n_theta, n_phi, channels)``.
     stacked : bool
+    notes : tuple of str
+        Sentences on how the file was read.
     """
 
     subdivision: Subdivision
@@ -28,6 +30,7 @@ class PatchMeans:
     channels: tuple[str, ...]
     flux_fraction: np.ndarray
     stacked: bool = True
+    notes: tuple[str, ...] = ()
 
     @classmethod
     def of(

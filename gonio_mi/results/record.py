@@ -16,6 +16,7 @@ from ..array_types import Floats
 from ..errors import SettingError, abridged, printable, shown, unknown_channel
 from ..settings import MeasurementSettings
 from ..settings.measurement_settings import MAX_RAYS
+from .patch_means import PatchMeans
 from .provenance import (
     FREE_WHEN_MERGED,
     FREE_WHEN_STACKED,
@@ -280,7 +281,7 @@ class Record(MeasuredValues):
 # ------------------------------------------------------------------- values as arrays
 
 
-def fractions_of(record: Record) -> Floats:
+def fractions_of(record: Record | PatchMeans) -> Floats:
     """Flux fractions with the incident direction as first axis, also of one."""
     return record.flux_fraction if record.stacked else record.flux_fraction[None]
 

@@ -6,14 +6,18 @@ own patches; of several wavelengths, visible and solar light. The specimen's fac
 +z, the front, looks into the room, and its +y is up.
 """
 
+from __future__ import annotations
+
 import time
 from argparse import ArgumentParser, Namespace
+from collections.abc import Mapping
 
 import mitsuba as mi
 
 from ...commands.arguments import (
     DONE,
     INCOMPLETE,
+    add_json,
     add_number,
     add_quiet,
     add_scene_options,
@@ -24,6 +28,7 @@ from ...commands.arguments import (
     given_settings,
     specimen_of,
     tell,
+    tell_json,
 )
 from ...commands.campaign_options import (
     add_campaign,
@@ -31,18 +36,19 @@ from ...commands.campaign_options import (
     is_imprecise,
     kept_after_ctrl_c,
 )
-from ...commands.surface import add_surface_options, prepared_surface
+from ...commands.surface import add_surface_options, prepared_surface, tell_mesh
 from ...errors import SettingError
 from ...files import check_output
 from ...instrument.loading import load_specimen
-from ...instrument.specimen_text import parse_specimen
-from ...results.record import Record
+from ...instrument.specimen_text import SpecimenLike, parse_specimen
 from ...surfaces.height_maps import is_height_map
 from ...surfaces.meshes import is_mesh
 from ...surfaces.topography import metres
 from ...transport.shapes import bounds
-from ..exports.bsdf_file import RAYS, bsdf, hemispherical
+from ..exports.bsdf_file import RAYS, bsdf, properties
 from ..exports.daylight import VISIBLE_NM, luminous
+from ..exports.loss import in_words
+from ..exports.radiance_export import READ_BACK, read_back
 from ..formats.radiance import BASES, BLOCKS, Product
 
 WAVELENGTHS = f"{VISIBLE_NM[0]} to {VISIBLE_NM[-1]} by {VISIBLE_NM[1] - VISIBLE_NM[0]}"
@@ -55,7 +61,8 @@ EXAMPLES = """\
 examples:
   gonio-mi bsdf blind.xml --period box --rel-err 0.01 -o blind_klems.xml
   gonio-mi bsdf slat.obj --unit mm --normal y --period 25,25 \\
-      --bsdf diffuse:reflectance=0.7 -o blind.xml
+      --bsdf diffuse:reflectance=0.7 --solar-bsdf diffuse:reflectance=0.6 \\
+      -o blind.xml
   gonio-mi bsdf roughdielectric:alpha=0.1 --basis tensor3 -o film.xml
   gonio-mi bsdf diffuse:reflectance=0.7 --solar diffuse:reflectance=0.6 \\
       -o both.xml
@@ -89,6 +96,12 @@ def add_options(parser: ArgumentParser) -> None:
         "Scene with solar-weighted material data, for the Solar block; not needed "
         "with wavelengths from 300 to 2500 nm.",
     )
+    add_text(
+        group,
+        "--solar-bsdf",
+        "BSDF",
+        "The same of a mesh or a height map: its BSDF for all sunlight, in one word.",
+    )
     product = parser.add_argument_group("Product")
     text = "Name of the product. Default: the specimen's."
     add_text(product, "--name", "NAME", text)
@@ -109,6 +122,7 @@ def add_options(parser: ArgumentParser) -> None:
     group = parser.add_argument_group("Campaign")
     add_campaign(group)
     add_quiet(group)
+    add_json(parser)
 
 
 def run(options: Namespace) -> int:
@@ -117,8 +131,10 @@ def run(options: Namespace) -> int:
     sizes = {name: _size(options, name) for name in SIZES}
     specimen, parameters = specimen_of(options.specimen, options)
     check_not_read(specimen, options.specimen, [options.output])
+    solar = _solar(specimen, options)
     specimen = prepared_surface(specimen, options)
-    solar = None if options.solar is None else parse_specimen(options.solar)
+    if not (options.quiet or options.json):
+        tell_mesh(specimen, options)
     if sizes["thickness"] is None and options.unit is not None:
         low, high = bounds(load_specimen(specimen, parameters).shapes())
         sizes["thickness"] = float(high[2] - low[2]) * metres(options.unit)
@@ -139,11 +155,16 @@ def run(options: Namespace) -> int:
             **given_settings(options),
         )
     seconds = time.perf_counter() - started
-    if not options.quiet:
-        for name, record in records.items():
-            tell(_line(name, luminous(record)))
+    found = properties({name: luminous(one) for name, one in records.items()})
+    if options.json:
+        tell_json(found)
+    elif not options.quiet:
+        tell(_table(found))
+        sides = [records["front"], records["back"]]
+        for line in in_words(read_back(sides, options.output)):
+            tell(f"{READ_BACK}: {line}")
         # of wavelengths, visible and solar records are of the same rays
-        sent = records if options.solar is not None else ("front", "back")
+        sent = records if solar is not None else ("front", "back")
         rays = sum(records[name].ledger.emitted for name in sent)
         channels = records["front"].channels
         basis = options.basis
@@ -153,12 +174,27 @@ def run(options: Namespace) -> int:
             basis += ", no block Solar"
         of_file = is_mesh(options.specimen) or is_height_map(options.specimen)
         if of_file and sizes["thickness"] is None:
-            basis += ", no Thickness (give --thickness, or --unit if the file has none)"
+            basis += ", Thickness 0 (give --thickness, or --unit if the file has none)"
         tell(
             f"{options.output}: {basis}, {rays:.3g} rays, {seconds:.0f} s; +- is one "
             f"standard error\nblocks: {BLOCKS}"
         )
     return INCOMPLETE if any(map(is_imprecise, records.values())) else DONE
+
+
+def _solar(specimen: SpecimenLike, options: Namespace) -> SpecimenLike | None:
+    """Specimen of the Solar block, or None."""
+    if options.solar_bsdf is None:
+        return None if options.solar is None else parse_specimen(options.solar)
+    if options.solar is not None:
+        raise SettingError("--solar and --solar-bsdf exclude each other")
+    if not (is_mesh(options.specimen) or is_height_map(options.specimen)):
+        raise SettingError(
+            f"--solar-bsdf applies to meshes and height maps, got {options.specimen}: "
+            "name the whole specimen with --solar"
+        )
+    asked = Namespace(**vars(options) | {"bsdf": options.solar_bsdf})
+    return prepared_surface(specimen, asked)
 
 
 def _size(options: Namespace, name: str) -> float | None:
@@ -169,22 +205,19 @@ def _size(options: Namespace, name: str) -> float | None:
     return None if value is None else float(value)
 
 
-def _line(name: str, record: Record) -> str:
-    """What a side does to light from about the normal and to diffuse light."""
-    normal = record[int(record.theta_i.argmin())]
-    words = f"{name}: from about the normal reflected {_total(normal, 'dhr')}"
-    if record.has_lower:
-        words += f", transmitted {_total(normal, 'dht')}"
-    if record.ledger.direct:
-        words += f" ({_total(normal, 'direct')} directly)"
-    totals = " and ".join(_pair(*total) for total in hemispherical(record))
-    return f"{words}; of diffuse light {totals}"
-
-
-def _total(record: Record, name: str) -> str:
-    value, error = getattr(record, name), getattr(record, f"{name}_std_err")
-    return _pair(float(value[0]), float(error[0]))
-
-
-def _pair(value: float, error: float) -> str:
-    return f"{value:.4f} +- {error:.1g}"
+def _table(found: Mapping[str, Mapping[str, Mapping[str, float]]]) -> str:
+    """Rows of sides and light, columns of properties, each with its standard error."""
+    rows = {
+        f"{side}, {light}": {
+            key: f"{value:.4f} +- {of_light[f'{key}_std_err']:.1g}"
+            for key, value in of_light.items()
+            if not key.endswith("_std_err")
+        }
+        for side, of_side in found.items()
+        for light, of_light in of_side.items()
+    }
+    names = list(dict.fromkeys(name for row in rows.values() for name in row))
+    lines = [["", *names]]
+    lines += [[title, *(row.get(n, "") for n in names)] for title, row in rows.items()]
+    widths = [max(map(len, column)) for column in zip(*lines)]
+    return "\n".join("  ".join(map(str.ljust, line, widths)).rstrip() for line in lines)

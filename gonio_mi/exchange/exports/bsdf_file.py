@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from concurrent.futures import Executor
 from os import PathLike
 from pathlib import Path
@@ -211,20 +212,46 @@ def _checked_cells(basis: str, cells: int | None) -> int:
     return int(cells)
 
 
-def hemispherical(record: Record) -> tuple[tuple[float, float], ...]:
-    """Reflectance and transmittance of diffuse light, each with its standard error.
+# Polar angles in degrees that differ by less are the same ring.
+RING_TOLERANCE = 1e-3
 
-    Of a record of one channel whose light fills all patches of incidence: the mean
-    over those, by their projected solid angle.
+
+def properties(records: Mapping[str, Record]) -> dict[str, dict[str, dict[str, float]]]:
+    """Transmittances and reflectances, by the lit side and the light.
+
+    Parameters
+    ----------
+    records : mapping of Record
+        Of one channel, as :func:`bsdf` returns them.
+
+    Returns
+    -------
+    dict
+        By the side, and ``"normal"``, the mean of the incident patches that touch the
+        normal, or ``"diffuse"``, that of all by their projected solid angle:
+        ``tau_vis``, ``rho_vis``, of sunlight ``tau_sol``, ``rho_sol``, and where light
+        passes openings ``tau_direct_vis``. Of each also its standard error, with the
+        ending ``_std_err``.
     """
-    patches: Any = record.asked.incident
-    toward = direction(np.radians(record.theta_i), np.radians(record.phi_i))
-    weight = patches.projected_solid_angles.ravel()[patches.patch(toward)]
-    weight /= weight.sum()
-    parts = [(record.dhr, record.dhr_std_err)]
-    if record.dht is not None and record.dht_std_err is not None:
-        parts.append((record.dht, record.dht_std_err))
-    return tuple(
-        (float(weight @ value[:, 0]), float(np.linalg.norm(weight * error[:, 0])))
-        for value, error in parts
-    )
+    found: dict[str, dict[str, dict[str, float]]] = {}
+    for name, record in records.items():
+        *solar, side = name.split()
+        ending = "sol" if solar else "vis"
+        patches: Any = record.asked.incident
+        toward = direction(np.radians(record.theta_i), np.radians(record.phi_i))
+        solid = patches.projected_solid_angles.ravel()[patches.patch(toward)]
+        near = record.theta_i <= record.theta_i.min() + RING_TOLERANCE
+        quantities = {"tau": "dht", "rho": "dhr"}
+        if record.ledger.direct:
+            quantities["tau_direct"] = "direct"
+        for light, weight in (("normal", solid * near), ("diffuse", solid)):
+            row = found.setdefault(side, {}).setdefault(light, {})
+            for symbol, quantity in quantities.items():
+                share, key = weight / weight.sum(), f"{symbol}_{ending}"
+                row[key] = row[f"{key}_std_err"] = 0.0
+                if getattr(record, quantity) is not None:  # else none is transmitted
+                    value = getattr(record, quantity)[:, 0]
+                    error = getattr(record, f"{quantity}_std_err")[:, 0]
+                    row[key] = float(share @ value)
+                    row[f"{key}_std_err"] = float(np.linalg.norm(share * error))
+    return found

@@ -86,18 +86,18 @@ def of_daylight(
         If the wavelengths of `records` do not stand for visible light, or those of
         `solar` for sunlight.
     """
-    visible = [_in(VISIBLE, record) for record in records]
+    visible = [lit_by(VISIBLE, record) for record in records]
     as_they_were = all(one is other for one, other in zip(visible, records))
     if solar or as_they_were:
-        return visible, [_in(SOLAR, record) for record in solar]
+        return visible, [lit_by(SOLAR, record) for record in solar]
     try:
-        return visible, [_in(SOLAR, record) for record in records]
+        return visible, [lit_by(SOLAR, record) for record in records]
     except SettingError as error:
         warn(f"the file has no block Solar: {error}")
         return visible, []
 
 
-def _in(light: Light, record: Record) -> Record:
+def lit_by(light: Light, record: Record) -> Record:
     """Record of one channel, of one of several wavelengths; any other as it is."""
     nm = wavelengths_nm(record.channels)
     if nm is None or len(nm) == 1:

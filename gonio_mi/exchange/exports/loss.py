@@ -135,7 +135,7 @@ def in_words(every: Sequence[Loss]) -> list[str]:
         line += f"; total off by {error:.2g}"
         if error > ROUNDING and len(some) > 1:
             line += (
-                f" at {_place(off)}, the most at the record's own {len(some)} incident "
+                f" at {_place(off)}, the most at {len(some)} of the record's incident "
                 "directions"
             )
         if left_out:

@@ -16,10 +16,10 @@ from ...errors import SettingError, abridged, checked_choice, warn
 from ...files import replacing
 from ...materials.resampling import Material, resampled, specular_peaks
 from ...results.record import XYZ, Record, fractions_of, wavelengths_nm
-from ..formats import radiance
+from ..formats import radiance, radiance_material
 from ..formats.radiance import BASES, RANKS, Product, RadianceBSDF
 from ..formats.tensor_tree import TensorTree, isotropic_incidence
-from .daylight import of_daylight
+from .daylight import VISIBLE, lit_by, of_daylight
 from .loss import Loss, losses
 
 # Cells per axis of tensor trees; those of rank 3 are cheap enough to be finer.
@@ -38,6 +38,9 @@ HALF_WEDGE = 0.05
 # reciprocal specimens of all kinds reaches 0.015, by the patches of their files.
 # Means of pairs of patches are over this many points per side.
 MAX_EXCHANGED, POINTS_OF_PAIRS = 0.03, 3
+
+# Whose losses those of :func:`read_back` are, and at how many directions at most.
+READ_BACK, MAX_READ_BACK = "measured back with goniometric", 16
 
 # Incident directions that are less apart have no lobes between them, in degrees.
 MAX_GAP = 45
@@ -101,6 +104,26 @@ def write_radiance(
         noise = max(loss.noise for loss in losses_of_side)
         side.warn_if_exchanged(written, noise)
     return [loss for losses_of_side in every for loss in losses_of_side]
+
+
+def read_back(records: Sequence[Record], path: str | PathLike[str]) -> list[Loss]:
+    """Losses of a file as `goniometric` reads it, at some of the records' directions.
+
+    Parameters are as of :func:`write_radiance`, which wrote the file.
+    """
+    every = []
+    for whole in records:
+        chosen = np.unique(np.linspace(0, len(whole) - 1, MAX_READ_BACK).astype(int))
+        record = lit_by(VISIBLE, Record.stack([whole[int(n)] for n in chosen]))
+        with open(path, "rb") as stream:
+            material = Material(radiance_material.material(stream, record.asked.side))
+        asked = record.theta_i, record.phi_i, record.subdivision
+        theirs: Any = [material.carried(h, *asked) for h in range(record.n_hemispheres)]
+        theirs = np.stack(theirs, axis=1)
+        if len(record.channels) == 1:
+            theirs = np.mean(theirs, axis=-1, keepdims=True)
+        every += losses(record, theirs.reshape(fractions_of(record).shape))
+    return every
 
 
 def _check_sides(records: Sequence[Record]) -> None:

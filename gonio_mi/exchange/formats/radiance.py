@@ -4,7 +4,6 @@ Radiance lights the face that WINDOW calls the back from +z, and names the incid
 patch by the azimuth of flight; matrices are rows of exit and columns of incidence.
 """
 
-import itertools
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,16 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...array_types import Floats, Integers
-from ...collector import EqualProjectedSolidAngle
-from ...collector.directions import direction as unit_vectors
+from ...collector.directions import angles, direction as unit_vectors
 from ...collector.hemisphere import Subdivision
 from ...collector.klems import KLEMS, Klems
 from ...errors import FileFormatError
 from ...files.checks import require, size_of
 from ...files.numbers import decimal
-from ...results.patch_means import PatchMeans
 from ...results.record import XYZ
-from .format import Format
 from .tensor_tree import TensorTree, coordinates
 
 # Klems bases by their names in files.
@@ -47,6 +43,8 @@ DIRECTIONS = {
     ("back", 0): "Reflection Front",
     ("back", 1): "Transmission Front",
 }
+
+OTHER = {"front": "back", "back": "front"}
 
 # The same in words, for those who read a file.
 BLOCKS = (
@@ -79,18 +77,6 @@ TREE_NAMES = ("Visible", "CIE-u", "CIE-v")
 # u' and v' of equal energy, which black has in Radiance.
 WHITE = (4 / 19, 9 / 19)
 
-# Azimuths of incidence at which tensor trees for any materials are taken.
-N_AZIMUTHS = 24
-
-# Angles of incidence at which tensor trees are taken, rings and sectors of patches by
-# the rank of a tree, and points per side of a patch.
-TREE_INCIDENCES = np.array([0, 10, 20, 30, 40, 50, 60, 70, 80.0])
-TREE_PATCHES = {3: (45, 90), 4: (32, 64)}
-TREE_POINTS = 3
-
-# Half the width in degrees of what stands for an azimuth on an edge of patches.
-EDGE_OFFSET = 1e-3
-
 
 @dataclass(frozen=True)
 class Product:
@@ -100,7 +86,8 @@ class Product:
     ----------
     name, manufacturer : str
     thickness, width, height : float, optional
-        In metres.
+        In metres. A file states a thickness of 0 if it is unknown: pyWinCalc reads
+        none without.
     """
 
     name: str = "gonio-mi"
@@ -117,6 +104,7 @@ class Product:
         ]
         for key in ("Thickness", "Width", "Height"):
             value = getattr(self, key.lower())
+            value = 0.0 if value is None and key == "Thickness" else value
             if value is not None:
                 lines.append(f'<{key} unit="meter">{value:.7g}</{key}>')
         return "\n".join([*lines, "<DeviceType>Other</DeviceType>"])
@@ -212,7 +200,8 @@ def _block(wavelength: str, direction: str, block: Floats | TensorTree) -> str:
             f"<ColumnAngleBasis>{name}</ColumnAngleBasis>\n"
             f"<RowAngleBasis>{name}</RowAngleBasis>"
         )
-        text = "\n".join(" ".join(f"{v:.7g}" for v in row) for row in block) + "\n"
+        # as WINDOW has them; pyWinCalc reads no other
+        text = ",\n".join(", ".join(f"{v:.7g}" for v in row) for row in block) + "\n"
     kind = "BRDF" if "Reflection" in direction else "BTDF"
     return f"""<WavelengthData>
 <LayerNumber>System</LayerNumber>
@@ -276,12 +265,16 @@ def read(stream: BinaryIO) -> dict[tuple[str, str], Floats | TensorTree]:
 
 
 def _root(stream: BinaryIO) -> ElementTree.Element:
-    """Root element of an XML file without a DTD, tags without name spaces."""
+    """Root element of an XML file without a DTD, tags without name spaces.
+
+    Text before the XML declaration, as genBSDF may leave there, is passed over.
+    """
     size = size_of(stream)
     require(size <= MAX_BYTES, f"it has {size} bytes, more than any such file needs")
     parser = ElementTree.XMLParser(target=_WithoutDTD())
+    data = stream.read()
     try:
-        root = ElementTree.parse(stream, parser).getroot()
+        root = ElementTree.fromstring(data[max(data.find(b"<?xml"), 0) :], parser)
     except FileFormatError:
         raise
     except (ElementTree.ParseError, ValueError, LookupError) as error:
@@ -367,10 +360,13 @@ class RadianceBSDF:
         self.blocks: dict[tuple[str, str], Any] = read(stream)
         first: Any = next(iter(self.blocks.values()))
         self.rank: int | None = None
+        #: cells per axis of trees
+        self.size = 1
         self.basis: Any = None
         self._names: tuple[str, ...] = MATRIX_NAMES
         if isinstance(first, TensorTree):
             self.rank, self._names = first.rank, TREE_NAMES
+            self.size = max(tree.size for tree in self.blocks.values())
         else:
             self.basis = KLEMS_BASES[basis_of(first)]
             blocks: Any = self.blocks.values()
@@ -388,7 +384,15 @@ class RadianceBSDF:
 
     def holds(self, side: str, hemisphere: int) -> bool:
         """Whether there is reflection (0) or transmission (1) of a lit face."""
-        return ("Visible", DIRECTIONS[side, hemisphere]) in self.blocks
+        if ("Visible", DIRECTIONS[side, hemisphere]) in self.blocks:
+            return True
+        return self.is_reciprocal(side, hemisphere)
+
+    def is_reciprocal(self, side: str, hemisphere: int) -> bool:
+        """Whether the file tells this transmission by that of the other side only."""
+        names = [("Visible", DIRECTIONS[face, 1]) for face in (side, OTHER[side])]
+        told = [name in self.blocks for name in names]
+        return hemisphere == 1 and told == [False, True]
 
     def values(
         self,
@@ -399,6 +403,9 @@ class RadianceBSDF:
         wo: Floats,
     ) -> Floats:
         """BRDF or BTDF in 1/sr, shape ``(n, channels)``.
+
+        Transmission that the file tells of the other side only is that of light that
+        flies back, as Radiance has it.
 
         Parameters
         ----------
@@ -411,10 +418,15 @@ class RadianceBSDF:
         wo : ndarray, shape (n, 3)
             Unit vectors of exit; only the azimuth and the angle with the normal count.
         """
+        wo = wo * [1, 1, 0] + np.abs(wo) * [0, 0, 1]
+        if self.is_reciprocal(side, hemisphere):
+            wi = unit_vectors(np.radians(theta_i), np.radians(phi_i))
+            side, (theta_i, phi_i) = OTHER[side], np.degrees(angles(wo))
+            wo = np.broadcast_to(wi, wo.shape)
         direction = DIRECTIONS[side, hemisphere]
         blocks = [self.blocks[name, direction] for name in self._names]
         if self.rank is None:
-            rows = self.basis.patch(wo * [1, 1, 0] + np.abs(wo) * [0, 0, 1])
+            rows = self.basis.patch(wo)
             columns = incident_patch(theta_i, phi_i, self.basis)
             parts = np.stack([block[rows, columns] for block in blocks], axis=-1)
         else:
@@ -440,49 +452,3 @@ def has_back(path: str | PathLike[str]) -> bool:
     with open(path, "rb") as stream:
         bsdf = RadianceBSDF(stream)
     return any(bsdf.holds("back", hemisphere) for hemisphere in (0, 1))
-
-
-def material(stream: BinaryIO, side: str) -> PatchMeans:
-    """Means over patches of a file, with light on one of its faces.
-
-    Raises
-    ------
-    FileFormatError
-        If the file is damaged, or holds no light that meets the face.
-    """
-    bsdf = RadianceBSDF(stream)
-    held = [h for h in (0, 1) if bsdf.holds(side, h)]
-    require(bool(held), f"it holds no light that meets its {side}")
-    if bsdf.rank is None:
-        # at the middles of rings, of which the first is one patch around the pole, at
-        # as many azimuths as the ring has that has most, on both sides of edges there
-        patches, edges = bsdf.basis, bsdf.basis.theta_deg
-        angles = np.array([0, *(np.add(edges[1:-1], edges[2:]) / 2)])
-        n, turns = max(patches.n_phi), [-EDGE_OFFSET, EDGE_OFFSET]
-        wo = unit_vectors(*(angle[:, 0] for angle in patches.middles))[:, None]
-    else:
-        patches = EqualProjectedSolidAngle(*TREE_PATCHES[bsdf.rank])
-        angles, wo = TREE_INCIDENCES, patches.points(TREE_POINTS)
-        n, turns = (N_AZIMUTHS if bsdf.rank == 4 else 1), [0.0]
-    grid = np.meshgrid(angles, np.arange(n) * (360 / n), indexing="ij")
-    theta_i, phi_i = (angle.ravel() for angle in grid)
-    shape = len(theta_i), max(held) + 1, *patches.shape, len(bsdf.channels)
-    means = np.zeros(shape)
-    for hemisphere, (index, theta) in itertools.product(held, enumerate(theta_i)):
-        values = [
-            bsdf.values(side, hemisphere, theta, phi_i[index] + turn, wo.reshape(-1, 3))
-            for turn in turns
-        ]
-        of_points = np.mean(values, axis=0).reshape(*wo.shape[:2], -1)
-        means[index, hemisphere] = of_points.mean(axis=1).reshape(shape[2:])
-    return PatchMeans.of(means, patches, (theta_i, phi_i), bsdf.channels)
-
-
-FORMATS = (
-    Format(
-        "Radiance",
-        (".xml",),
-        material=material,
-        loses="lobes narrower than its patches or cells",
-    ),
-)

@@ -92,6 +92,11 @@ class TensorTree:
         require(len(stack) == 1 and len(stack[0]) == 1, "its tensor tree is not closed")
         return cls(rank, stack[0][0])
 
+    @property
+    def size(self) -> int:
+        """Cells per axis of its finest parts, a power of two."""
+        return _size(self.root)
+
     def text(self) -> str:
         """Text that Radiance reads, with six digits."""
         return _text(self.root)
@@ -162,6 +167,10 @@ def _orthants(values: Floats) -> Iterator[Floats]:
     halves = slice(None, half), slice(half, None)
     for number in range(2**values.ndim):
         yield values[tuple(halves[number >> k & 1] for k in range(values.ndim))]
+
+
+def _size(node: Node) -> int:
+    return 2 * max(map(_size, node)) if isinstance(node, list) else len(node)
 
 
 def _text(node: Node) -> str:

@@ -131,6 +131,8 @@ def test_the_axis_that_is_said_becomes_the_normal(tmp_path, reference, normal):
         off = np.abs(light - reference.flux_fraction).sum()
         assert (off <= 2 / RAYS) == same
     plane = gonio.mesh(path, MATT, normal=normal, mean_plane=1.0)
+    # up is the file's z, or its y where z is the normal
+    assert matrix[1].tolist() == np.eye(3)[1 if axis == 2 else 2].tolist()
     low, high = gonio.transport.shapes.bounds(mi.load_dict(plane).shapes())
     middle = sign * [5, -3, 2][axis]
     assert np.isclose((low + high)[2] / 2, middle - 1, atol=1e-5)
@@ -166,12 +168,16 @@ def test_the_command_line_measures_a_mesh(tmp_path, monkeypatch, capsys):
     text = (tmp_path / "slat.xml").read_text()
     (thickness,) = re.findall('<Thickness unit="meter">(.*)</Thickness>', text)
     assert abs(float(thickness) - 2 * HALF[1] / 1000) <= 1e-8
-    assert "Thickness" not in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "Thickness" not in out
+    assert out.startswith("slat.obj: 25 x 14.46 x 17.24 mm in x, y and along the norm")
+    assert "which is the file's z; up is its y; period 25,25\n" in out
     unknown = [word for word in words if word not in ("--unit", "mm")]
     assert cli.main(["bsdf", *unknown, "--basis", "klems-quarter"]) == 0
-    assert "<Thickness" not in (tmp_path / "slat.xml").read_text()
+    text = (tmp_path / "slat.xml").read_text()
+    assert '<Thickness unit="meter">0</Thickness>' in text
     assert (
-        "no Thickness (give --thickness, or --unit if the file has none)"
+        "Thickness 0 (give --thickness, or --unit if the file has none)"
         in capsys.readouterr().out
     )
     for words, message in (

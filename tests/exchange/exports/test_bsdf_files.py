@@ -1,5 +1,6 @@
 """``gonio-mi bsdf``: what a file says of a specimen is what the specimen does."""
 
+import json
 import re
 import subprocess
 from pathlib import Path
@@ -17,6 +18,7 @@ from gonio_mi import cli
 from gonio_mi.collector.klems import Klems
 from gonio_mi.collector.shirley_chiu import ShirleyChiu
 from gonio_mi.exchange.exports import exporting, radiance_export
+from gonio_mi.exchange.exports.bsdf_file import properties
 from gonio_mi.exchange.exports.loss import Loss, in_words
 from gonio_mi.exchange.formats import radiance, tensor_tree
 from gonio_mi.exchange.formats.radiance import RadianceBSDF
@@ -34,6 +36,11 @@ TREE_DIGITS = 1e-5
 BLIND = [blinds.Slat(0, 0.0, 0.0, 0.9, 40.0)]
 UPSIDE_DOWN = [blinds.Slat(0, 0.0, 0.0, 0.9, -40.0)]
 RHO = 0.6
+
+# Index of refraction of Mitsuba's glass, bk7, in air.
+GLASS = 1.5046 / 1.000277
+
+TAU_RHO, ENDS, N_BATCHES = ("tau", "rho"), ("", "_std_err"), 32
 
 one_sided = pytest.mark.filterwarnings("ignore:the file describes light from")
 
@@ -155,7 +162,7 @@ def test_what_hardly_any_light_does_is_left_out_of_the_words():
         (line,) = in_words([bright, Loss(73, 0, "dht", light, 0, light, 1.0, 0)])
         assert line.startswith(f"front, transmitted: {told} of the flux")
         assert line.endswith("faint directions left out") == (light < 1e-3)
-        assert "total off by 0.02 at theta_i 0, phi_i 0, the most at the reco" in line
+        assert "total off by 0.02 at theta_i 0, phi_i 0, the most at 2 of the" in line
 
 
 def test_totals_are_off_by_no_more_than_is_said():
@@ -164,7 +171,7 @@ def test_totals_are_off_by_no_more_than_is_said():
         Loss(t, 0, "dht", 0.6, 0, 0.6 - e, 0, 0) for t, e in [(0, 0), (37, 0.1457)]
     ]
     (line,) = in_words(losses)
-    assert "total off by 0.15 at theta_i 37, phi_i 0, the most at the record's" in line
+    assert "total off by 0.15 at theta_i 37, phi_i 0, the most at 2 of the" in line
     assert in_words(losses[1:])[0].endswith("theta_i 37, phi_i 0; total off by 0.15")
 
 
@@ -326,7 +333,8 @@ def test_radiance_reads_the_blind(blind):
 
 
 @pytest.mark.usefixtures("mono")
-def test_two_records_make_one_file(blind, tmp_path):
+def test_two_records_make_one_file(blind, tmp_path, monkeypatch):
+    monkeypatch.setattr(radiance_export, "read_back", lambda *_: [])  # see below
     path, records = blind
     files = []
     for side, record in records.items():
@@ -380,9 +388,15 @@ def test_command_writes_the_product_and_solar_light(tmp_path, capsys):
     words += ["--basis", "klems-quarter", "--rays", "256", "-o", str(path)]
     words += ["--name", "a & b", "--manufacturer", "us", "--thickness", "1e-3"]
     assert cli.main([*words, "--width", "2"]) == 0
-    out = capsys.readouterr().out
-    assert out.startswith("front: from about the normal reflected 0.5000 +- 0")
-    assert "solar front: from about the normal reflected 0.2500 +- 0" in out
+    head, first, *more = capsys.readouterr().out.splitlines()
+    assert head.split() == ["tau_vis", "rho_vis", "tau_sol", "rho_sol"]
+    of_front = ["0.0000", "0.5000", "0.0000", "0.2500"]
+    assert re.findall(r"0\.\d{4}", first) == of_front
+    assert first.startswith("front, normal ")
+    back = [line for line in more if line.startswith("measured back with goniometric")]
+    assert len(back) == 2
+    # every ray has the weight of the reflectance
+    assert float(back[0].partition("total off by ")[2].split()[0]) <= 2 * DIGITS
     text = path.read_text()
     assert "<Name>a &amp; b</Name>" in text
     assert '<Thickness unit="meter">0.001</Thickness>' in text
@@ -395,9 +409,76 @@ def test_command_writes_the_product_and_solar_light(tmp_path, capsys):
     assert np.allclose(blocks["Solar", name], half, atol=2 * DIGITS)
 
 
+@pytest.mark.usefixtures("mono")
+def test_command_prints_properties_of_a_pane(tmp_path, capsys):
+    """As JSON, of mean T and R over the patches that touch the normal, and of all.
+
+    Sheets of a dielectric: Fresnel's, of all reflections within, at every ray's angle,
+    averaged over the quarter basis by a midpoint rule.
+    """
+    words = ["bsdf", "thindielectric", "--basis", "klems-quarter", "--rays", "2048"]
+    words += ["--sampler", "independent", "--batches", str(N_BATCHES)]
+    assert cli.main([*words, "--json", "-o", str(tmp_path / "pane.xml")]) == 0
+    found = json.loads(capsys.readouterr().out)
+
+    def transmitted(steps):
+        cos_i = np.sqrt(1 - steps)
+        cos_t = np.sqrt(1 - steps / GLASS**2)
+        s = ((cos_i - GLASS * cos_t) / (cos_i + GLASS * cos_t)) ** 2
+        p = ((GLASS * cos_i - cos_t) / (GLASS * cos_i + cos_t)) ** 2
+        r = (s + p) / 2
+        return np.mean(1 - (r + (1 - r) ** 2 * r / (1 - r**2)))
+
+    steps = (np.arange(10_000) + 0.5) / 10_000  # of the squared sine
+    t, wrong = [], []
+    for side in ("front", "back"):
+        for light, most in (("normal", np.sin(np.radians(9)) ** 2), ("diffuse", 1)):
+            row, tau = found[side][light], transmitted(most * steps)
+            assert row.keys() == {f"{q}_vis{e}" for q in TAU_RHO for e in ENDS}
+            assert abs(row["tau_vis"] + row["rho_vis"] - 1) <= DIGITS
+            for factor, scores in ((1, t), (1.03, wrong)):
+                off = row["tau_vis"] - factor * tau
+                scores.append(off / row["tau_vis_std_err"])
+    for scores, judge in ((t, agree), (wrong, disagree)):
+        # those of diffuse light have more degrees of freedom
+        z = np.abs(normal_scores(scores, N_BATCHES - 1)).max()
+        judge(Verdict({"worst": min(1.0, len(t) * 2 * stats.norm.sf(z))}))
+
+
+@pytest.mark.usefixtures("mono")
+def test_the_cells_that_touch_the_normal_are_averaged(tmp_path):
+    """Four of a tree of rank 4, exactly; not the first of them alone."""
+    matt = {"type": "roughdielectric", "alpha": 0.5}
+    record = gonio.bsdf(matt, tmp_path / "a.xml", "tensor4", cells=4, rays=64)["front"]
+    order = np.argsort(record.theta_i, kind="stable")[:4]
+    assert np.ptp(record.theta_i[order]) < 1e-3 < np.ptp(record.dht[order])
+    found = properties({"front": record})["front"]["normal"]["tau_vis"]
+    assert found == pytest.approx(record.dht[order].mean(), rel=1e-12)
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_mesh_has_a_bsdf_for_sunlight(tmp_path, capsys):
+    """An upright plate: matrices in the ratio of both reflectances, exactly."""
+    path = tmp_path / "plate.obj"
+    path.write_text("v 0 0 0\nv 1 0 0\nv 1 0 1\nv 0 0 1\nf 1 2 3\nf 1 3 4\n")
+    words = ["bsdf", str(path), "--normal", "y", "--basis", "klems-quarter", "-q"]
+    words += ["--rays", "16", "--period", "1,1", "-o", str(tmp_path / "plate.xml")]
+    given = ["--bsdf", "diffuse:reflectance=0.5"]
+    given += ["--solar-bsdf", "diffuse:reflectance=0.25"]
+    assert cli.main([*words, *given]) == 0
+    with open(tmp_path / "plate.xml", "rb") as stream:
+        blocks = radiance.read(stream)
+    half = blocks["Visible", "Reflection Back"] / 2
+    assert np.allclose(blocks["Solar", "Reflection Back"], half, atol=2 * DIGITS)
+    assert half.any()
+    assert cli.main([*words, *given, "--solar", "diffuse"]) == 1
+    assert "--solar and --solar-bsdf exclude each other" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
+        (["-o", "x.xml", "--solar-bsdf", "diffuse"], "applies to meshes and height m"),
         (["-o", "x.npz"], "must end in .xml"),
         (["-o", "x.xml", "--cells", "8"], "cells applies to the basis tensor3"),
         (["-o", "x.xml", "--basis", "tensor4", "--cells", "6"], "a power of two"),

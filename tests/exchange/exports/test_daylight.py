@@ -210,7 +210,7 @@ def test_an_interrupted_file_goes_on(tmp_path, capsys, measured):
     """From the folder: only what is missing is measured, and the bits are the same."""
     whole, folder = tmp_path / "whole.xml", tmp_path / "blind"
     words = ["bsdf", "diffuse:reflectance=0.4", "--basis", "klems-quarter"]
-    words += ["--rays", "64"]
+    words += ["--rays", "64", "-q"]
     assert cli.main([*words, "-o", str(whole)]) == 0
     words += ["-o", str(tmp_path / "a.xml"), "--folder", str(folder)]
     with pytest.raises(SystemExit) as stopped:

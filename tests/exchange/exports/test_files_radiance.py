@@ -11,15 +11,18 @@ import numpy as np
 import pytest
 import synthetic
 
-from gonio_mi.collector.directions import direction
+from gonio_mi.collector import EqualProjectedSolidAngle
+from gonio_mi.collector.directions import angles, direction
 from gonio_mi.collector.klems import Klems
 from gonio_mi.collector.shirley_chiu import directions_of, square_of
 from gonio_mi.errors import FileFormatError
 from gonio_mi.exchange.exports import exporting, radiance_export
 from gonio_mi.exchange.exports.radiance_export import matrices, trees
-from gonio_mi.exchange.formats import radiance, tensor_tree
-from gonio_mi.exchange.formats.radiance import XYZ, RadianceBSDF
+from gonio_mi.exchange.formats import radiance, radiance_material, tensor_tree
+from gonio_mi.exchange.formats.radiance import RadianceBSDF
 from gonio_mi.exchange.formats.tensor_tree import TensorTree
+from gonio_mi.materials.resampling import Material
+from gonio_mi.results.record import XYZ
 
 # Most records here are of one side, with lobes that are not reciprocal: files say so.
 pytestmark = [
@@ -227,6 +230,124 @@ def test_twin_radiance_would_notice_a_turned_emitter(tmp_path, glossy):
         assert agrees == (turned == 0)
 
 
+def written(path, blocks):
+    with open(path, "wb") as stream:
+        radiance.write(blocks, stream)
+    with open(path, "rb") as stream:
+        return RadianceBSDF(stream)
+
+
+def random_block(basis, size=4, seed=8):
+    rank = radiance.RANKS.get(basis)
+    values = np.random.default_rng(seed).uniform(
+        0.1, 0.3, (41, 41) if rank is None else (size,) * rank
+    )
+    return values if rank is None else TensorTree.of(values, flat=0)
+
+
+@pytest.mark.parametrize("basis", ["klems-quarter", "tensor3", "tensor4"])
+@pytest.mark.parametrize("told", ["front", "back"])
+def test_one_transmission_is_that_of_both_sides(tmp_path, basis, told):
+    """As Radiance's renderer has it; twin: it is not the same matrix for both."""
+    blocks = {("Visible", radiance.DIRECTIONS[told, 1]): random_block(basis)}
+    own = written(tmp_path / "pane.xml", blocks)
+    wo = direction(*np.random.default_rng(3).uniform(0.1, 1.4, (2, 30)))
+    theta_i, phi_i = 40.0, 75.0
+    wi = direction(*np.radians([theta_i, phi_i]))
+    values = {}
+    for side, up in (("front", 1), ("back", -1)):
+        assert own.is_reciprocal(side, 1) == (side != told)
+        values[side] = own.values(side, 1, theta_i, phi_i, wo)[:, 0]
+        seen = rtrace(tmp_path, "pane.xml", wi * [1, 1, up], wo * [1, 1, -up])[:, 1]
+        assert (np.abs(seen - values[side]) <= 2 * RADIANCE_NOISE * seen).all()
+    assert not np.allclose(values["front"], values["back"], rtol=0.1)
+
+
+def test_text_before_the_declaration_is_passed_over():
+    stream = io.BytesIO()
+    radiance.write(
+        {("Visible", "Reflection Back"): random_block("klems-quarter")}, stream
+    )
+    data = b"Recover using: genBSDF -recover x\n" + stream.getvalue()
+    blocks, again = (radiance.read(io.BytesIO(d)) for d in (data, stream.getvalue()))
+    for key, block in blocks.items():
+        assert np.array_equal(block, again[key])
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize(("basis", "size"), [("tensor3", 16), ("tensor4", 8)])
+def test_every_incident_cell_keeps_its_light(tmp_path, basis, size):
+    """As `goniometric` reads a tree of random cells: the sums over cells of exit.
+
+    At the middle of each incident cell, and along the normal the mean of those that
+    touch it: exact, up to single precision of the direction.
+    """
+    tree = random_block(basis, size)
+    written(tmp_path / "tree.xml", {("Visible", "Transmission Back"): tree})
+    with open(tmp_path / "tree.xml", "rb") as stream:
+        material = Material(radiance_material.material(stream, "front"))
+    totals = tree.root.sum(axis=(-2, -1)) * np.pi / size**2
+    half, middles = size // 2, (np.arange(size) + 0.5) / size
+    if basis == "tensor3":
+        theta, phi = np.arcsin(1 - 2 * middles[:half]), np.full(half, np.pi)
+        totals, around = totals[:half], totals[half - 1]
+    else:
+        square = np.stack(np.meshgrid(middles, middles, indexing="ij"), axis=-1)
+        theta, phi = angles(directions_of(square.reshape(-1, 2)) * [-1, -1, 1])
+        around = totals[half - 1 : half + 1, half - 1 : half + 1].mean()
+        totals = totals.ravel()
+    theta, phi = np.degrees([np.append(0, theta), np.append(0, phi)])
+    expected = np.append(around, totals)
+    found = material.totals(1, theta, phi)[0][:, 0]
+    assert np.allclose(found, expected, rtol=64 * DIGITS)
+    assert not np.allclose(found[1:], np.roll(expected[1:], 1), rtol=0.01)  # twin
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_window_transmits_alike_from_everywhere(tmp_path):
+    """Light goes straight on in one cell: 0.8, as Radiance has it, and no lobe less."""
+    size, t = 16, 0.8
+    values = np.zeros((size,) * 4)
+    i, j = np.indices((size, size))
+    values[i, j, i, j] = t / (np.pi / size**2)
+    tree = TensorTree.of(values)
+    names = ("Transmission Front", "Transmission Back")
+    written(tmp_path / "pane.xml", {("Visible", name): tree for name in names})
+    theta = np.array([0, 5, 10, 20, 30, 45, 60, 85.0])
+    phi = 37 * np.arange(8)
+    (*seen,) = radiance_totals(
+        tmp_path / "pane.xml", np.stack([theta, phi], 1).tolist()
+    )
+    assert np.allclose(seen, t, rtol=2 * RADIANCE_NOISE)
+    with open(tmp_path / "pane.xml", "rb") as stream:
+        means = radiance_material.material(stream, "back")
+    assert np.allclose(means.flux_fraction[:, 1].sum(axis=(1, 2)), t, rtol=DIGITS)
+    assert not means.flux_fraction[:, 0].any()
+    # twin: 3 x 3 points in patches 10 degrees wide
+    wo = EqualProjectedSolidAngle(32, 64).points(3).reshape(-1, 3)
+    with open(tmp_path / "pane.xml", "rb") as stream:
+        coarse = RadianceBSDF(stream).values("back", 1, 0.0, 0.0, wo)
+    assert abs(coarse.mean() * np.pi / t - 1) > 0.2
+
+
+def test_a_reader_of_windows_reads_matrices(tmp_path):
+    """LBNL's pyWinCalc: in the rows and columns of the file, to its seven digits."""
+    pywincalc = pytest.importorskip("pywincalc")
+    block = random_block("klems-quarter")
+    path = tmp_path / "pane.xml"
+    names = radiance.DIRECTIONS.values()
+    written(path, {(of, name): block for of in ("Visible", "Solar") for name in names})
+    solid = pywincalc.parse_bsdf_xml_file(str(path))
+    for part in (solid.measurements.visible, solid.measurements.solar):
+        for data in (part.transmittance_front, part.reflectance_back):
+            assert np.allclose(data.data, block, rtol=1e-6)
+    # twin: without a thickness there is nothing to read
+    text = path.read_text().replace('<Thickness unit="meter">0</Thickness>', "")
+    path.write_text(text)
+    with pytest.raises(Exception, match="null"):
+        pywincalc.parse_bsdf_xml_file(str(path))
+
+
 def radiance_totals(path, angles):
     """Radiance's directional-hemispherical totals, each at theta and phi in degrees.
 
@@ -322,7 +443,7 @@ def test_colours_come_back(kind):
     own = RadianceBSDF(stream)
     assert own.channels == ("R", "G", "B")
     assert own.holds("back", 1)
-    assert not own.holds("front", 1)
+    assert own.is_reciprocal("front", 1)
     assert not own.holds("back", 0)
     v = direction(*rng.uniform(0, 1.57, (2, 500)))
     theta_i, phi_i = rng.uniform(0, 89, 500), rng.uniform(0, 360, 500)
@@ -361,9 +482,9 @@ def test_radiance_matrices_come_back():
         (b"Columns", b"TensorTree2", "must be Columns, Rows, TensorTree3, TensorTree4"),
         (b"LBNL/Klems Full<", b"LBNL/Klems Half<", "must hold 5929 values"),
         (b"<RowAngleBasis>LBNL/Klems Full<", b"<RowAngleBasis>x<", "must be one of"),
-        (b"0.25 ", b"", "must hold 21025 values, got"),
-        (b"0.25 ", b"nan ", "not finite"),
-        (b"0.25 ", b"x ", "must be a number, got"),
+        (b"0.25, ", b"", "must hold 21025 values, got"),
+        (b"0.25, ", b"nan, ", "not finite"),
+        (b"0.25, ", b"x, ", "must be a number, got"),
         (b">Visible<", b">Solar<", "no visible BSDF"),
     ],
 )

@@ -409,12 +409,11 @@ def test_records_that_a_format_cannot_hold(tmp_path):
 @pytest.mark.filterwarnings("ignore:the front is not reciprocal")  # made-up lobes
 def test_tensor_trees_are_materials(tmp_path, monkeypatch):
     from gonio_mi.exchange.exports import radiance_export
-    from gonio_mi.exchange.formats import radiance
+    from gonio_mi.exchange.formats import radiance_material
 
     monkeypatch.setattr(radiance_export, "TREE_SIZES", {3: 32, 4: 16})
     monkeypatch.setattr(radiance_export, "CELL_POINTS", 1)
-    monkeypatch.setattr(radiance, "TREE_PATCHES", {3: (16, 32), 4: (12, 24)})
-    monkeypatch.setattr(radiance, "N_AZIMUTHS", 6)
+    monkeypatch.setattr(radiance_material, "MAX_INCIDENT", 48)
     record = synthetic.record(
         "projected:12x24", theta_i=(0, 20, 40, 60, 80), phi_i=(0,) * 5, power=3,
         rays=1_000_000,

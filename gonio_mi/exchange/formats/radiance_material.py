@@ -1,0 +1,131 @@
+"""Radiance's BSDF files as materials: means over patches for incident directions."""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, BinaryIO, cast
+
+import numpy as np
+
+from ...collector.borders import Borders
+from ...collector.directions import direction as unit_vectors
+from ...collector.hemisphere import Subdivision
+from ...collector.shirley_chiu import ShirleyChiu
+from ...files.checks import require
+from ...results.patch_means import PatchMeans
+from .format import Format
+from .radiance import OTHER, RadianceBSDF
+
+# Rings of cells in which tensor trees are read at most, by their rank; tilted incident
+# directions of rank 4; fewest and most cells per axis of the square of exit.
+MAX_RINGS, MAX_INCIDENT = {3: 64, 4: 16}, 960
+MIN_CELLS, MAX_CELLS = 8, 256
+
+# Points per axis of the square by which cells overlap patches.
+OVERLAP_POINTS = 512
+
+# Half the width in degrees of what stands for an azimuth on an edge of patches.
+EDGE_OFFSET = 1e-3
+
+
+def material(stream: BinaryIO, side: str) -> PatchMeans:
+    """Means over patches of a file, with light on one of its faces.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is damaged, or holds no light that meets the face.
+    """
+    bsdf = RadianceBSDF(stream)
+    held = [h for h in (0, 1) if bsdf.holds(side, h)]
+    require(bool(held), f"it holds no light that meets its {side}")
+    means = _matrix_means if bsdf.rank is None else _tree_means
+    found = means(bsdf, side, held)
+    if bsdf.is_reciprocal(side, 1):
+        note = f"it tells the transmission of the {OTHER[side]} only, and that of the "
+        found = replace(found, notes=(f"{note}{side} is taken by reciprocity",))
+    return found
+
+
+def _matrix_means(bsdf: RadianceBSDF, side: str, held: Sequence[int]) -> PatchMeans:
+    """Means over the patches of a Klems basis.
+
+    At the middles of rings, of which the first is one patch around the pole, at as many
+    azimuths as the ring has that has most, on both sides of edges there.
+    """
+    patches, edges = bsdf.basis, bsdf.basis.theta_deg
+    thetas = np.array([0, *(np.add(edges[1:-1], edges[2:]) / 2)])
+    n, turns = max(patches.n_phi), [-EDGE_OFFSET, EDGE_OFFSET]
+    wo = unit_vectors(*(angle[:, 0] for angle in patches.middles))
+    grid = np.meshgrid(thetas, np.arange(n) * (360 / n), indexing="ij")
+    theta_i, phi_i = (angle.ravel() for angle in grid)
+    shape = len(theta_i), max(held) + 1, *patches.shape, len(bsdf.channels)
+    means = np.zeros(shape)
+    for hemisphere, (index, theta) in itertools.product(held, enumerate(theta_i)):
+        values = [
+            bsdf.values(side, hemisphere, theta, phi_i[index] + turn, wo)
+            for turn in turns
+        ]
+        means[index, hemisphere] = np.mean(values, axis=0).reshape(shape[2:])
+    return PatchMeans.of(means, patches, (theta_i, phi_i), bsdf.channels)
+
+
+def _tree_means(bsdf: RadianceBSDF, side: str, held: Sequence[int]) -> PatchMeans:
+    """Means over rings of a tree's cells: the light of each cell is divided among them.
+
+    Rings of the square's cells have the same borders for incidence and for exit, equal
+    steps of the sine. Along the normal it is the mean of the cells that touch it.
+    """
+    rank = cast(int, bsdf.rank)
+    size = max(bsdf.size, MIN_CELLS)
+    n_rings = min(size // 2, MAX_RINGS[rank])
+    edges = np.degrees(np.arcsin(np.arange(n_rings + 1) / n_rings))
+    patches = Borders(tuple(edges), tuple(np.linspace(0, 360, 8 * n_rings + 1)))
+    # cells of exit; by exchange those of rank 3 are turned, and so taken finer
+    finer = 4 if rank == 3 and bsdf.is_reciprocal(side, 1) else 1
+    cells = ShirleyChiu(min(size * finer, MAX_CELLS))
+    overlap = _overlap(cells, patches)
+    # of rank 3 about the middle of each cell; of rank 4 through the middles: ring k has
+    # 4 (2 k + 1) cells, and both azimuths around a middle are in its cell
+    rings = np.linspace(0, size // 2 - 1, n_rings).astype(int)
+    inside = [0.45, 0.75] if rank == 3 else [0.5]
+    thetas = np.degrees(np.arcsin(np.add.outer(rings, inside).ravel() * (2 / size)))
+    n = min(8 * (size - 1), MAX_INCIDENT // n_rings) if rank == 4 else 1
+    phi_i = (np.arange(n) + 0.5) * (360 / n)
+    wo = np.tile(cells.points(1)[:, 0], (n, 1))
+    flux = np.zeros((thetas.size * n, 2, *patches.shape, len(bsdf.channels)))
+    for hemisphere, (row, theta) in itertools.product(held, enumerate(thetas)):
+        values = bsdf.values(side, hemisphere, theta, phi_i.repeat(cells.n_patches), wo)
+        for azimuth, of_cells in enumerate(values.reshape(n, cells.n_patches, -1)):
+            light = (overlap @ of_cells).reshape(flux.shape[2:])
+            flux[row * n + azimuth, hemisphere] = light
+    flux = np.concatenate([flux[:n].mean(axis=0, keepdims=True), flux])
+    theta_i, phi_i = (
+        np.append(0.0, angle.ravel())
+        for angle in np.meshgrid(thetas, phi_i, indexing="ij")
+    )
+    return PatchMeans(patches, theta_i, phi_i, bsdf.channels, flux[:, : max(held) + 1])
+
+
+def _overlap(cells: ShirleyChiu, patches: Subdivision) -> Any:
+    """Projected solid angle in sr that each cell has in each patch: a sparse matrix.
+
+    Shape ``(n_patches, n_cells)``; that of a cell is divided evenly among its points.
+    """
+    from scipy.sparse import coo_array  # of which reading a Klems matrix needs nothing
+
+    points = cells.points(-(-OVERLAP_POINTS // cells.size))
+    n, each, _ = points.shape
+    cell, part = np.arange(n).repeat(each), np.full(n * each, np.pi / (n * each))
+    index = patches.patch(points).ravel(), cell
+    return coo_array((part, index), (patches.n_patches, n)).tocsr()
+
+
+FORMATS = (
+    Format(
+        "Radiance",
+        (".xml",),
+        material=material,
+        loses="lobes narrower than its patches or cells",
+    ),
+)
