@@ -331,6 +331,7 @@ def ramp(tmp_path, request):
     return path, ["--scale", "0.2"]
 
 
+@pytest.mark.needs("analysis")
 @pytest.mark.usefixtures("mono")
 def test_a_file_is_a_finite_specimen(ramp, capfd):
     """Exact, to the digits: over 100 mm a plane is one; twin: with a period it ends.
@@ -406,6 +407,7 @@ def test_a_damaged_array_is_a_sentence(tmp_path, content):
         gonio.measure(path, 0)
 
 
+@pytest.mark.needs("analysis")
 @pytest.mark.usefixtures("mono")
 def test_a_stack_of_arrays_is_no_map(tmp_path, capsys):
     """A third axis may have one element only."""
