@@ -59,7 +59,7 @@ def pytest_xdist_make_scheduler(config, log):
 
 # Files whose tests take most of the time: -m "not slow" leaves them out.
 SLOW = """
-    alarms azimuth_symmetry benchmark bits bsdf_files campaign chart cosines coverage
+    alarms annexes azimuth_symmetry benchmark bits bsdf_files campaign chart cosines coverage
     created_light dark_light daylight exports file_safety files_radiance first_mistakes
     fitting foreign_plugins foreign_verdicts fuzz glass goniometric goniometric_files
     half_vectors handbook handbook_blocks heightfield integrals intervals kernels llvm

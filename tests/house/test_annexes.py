@@ -1,0 +1,104 @@
+"""The core stands without the annexes, and all else without any one of them."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gonio_mi.annexes import ANNEXES
+
+ROOT = Path(__file__).parents[2]
+
+# Entrances to an annex beside its folder.
+ENTRANCES = {"validation": ("testing.py",)}
+
+# Prints the public names that cannot be had and the modules that cannot be imported,
+# the commands and the plugins.
+LOOK = """
+import importlib, pkgutil
+import mitsuba as mi
+import gonio_mi
+mi.set_variant("llvm_ad_mono")
+for name in gonio_mi.__all__:
+    getattr(gonio_mi, name)
+for module in pkgutil.walk_packages(gonio_mi.__path__, "gonio_mi."):
+    if module.name != "gonio_mi.__main__":
+        try:
+            importlib.import_module(module.name)
+        except ModuleNotFoundError as error:
+            print("lacks", module.name.rpartition(".")[2], error.name.split(".")[1])
+from gonio_mi import cli, plugins
+print("commands", *cli.COMMANDS)
+print("plugins", *plugins.modules())
+"""
+
+# Modules that are imported where they are used, since they need another annex.
+LATE = {
+    f"lacks {name}_export materials" for name in ("measured", "radiance", "scatter")
+}
+
+
+def without(annexes, folder):
+    """What runs Python in a copy of the checkout that lacks some annexes."""
+    ignored = shutil.ignore_patterns("__pycache__", ".*")
+    for name in ("gonio_mi", "tests", "scenes"):
+        shutil.copytree(ROOT / name, folder / name, ignore=ignored)
+    shutil.copy(ROOT / "pyproject.toml", folder)
+    for annex in annexes:
+        shutil.rmtree(folder / "gonio_mi" / annex)
+        for entrance in ENTRANCES.get(annex, ()):
+            (folder / "gonio_mi" / entrance).unlink()
+    environment = os.environ | {"PYTHONPATH": str(folder)}
+
+    def run(*arguments):
+        done = subprocess.run(
+            [sys.executable, *arguments],
+            cwd=folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+        )
+        return done.returncode, done.stdout + done.stderr
+
+    return run
+
+
+def test_core_alone(tmp_path):
+    """Its own tests pass where no annex is, but for those that need one.
+
+    All of them: ``pytest tests/core`` in such a copy. Here those of each room that
+    take little time.
+    """
+    run = without(ANNEXES, tmp_path)
+    code, said = run("-c", LOOK)
+    assert code == 0, said
+    assert "lacks" not in said
+    assert "validate" not in said
+    rooms = ("collector", "settings", "results", "plugins", "plots", "reports")
+    code, said = run(
+        *("-m", "pytest", "-q", "-x", "-m", "not slow", "-p", "no:cacheprovider"),
+        *(f"tests/core/{room}" for room in rooms),
+    )
+    assert code == 0, said
+
+
+@pytest.mark.parametrize("annex", ANNEXES)
+def test_without_one_annex(annex, tmp_path):
+    """Every other module can be imported, and every command of others is there."""
+    code, said = without([annex], tmp_path)("-c", LOOK)
+    assert code == 0, said
+    lacking = {line for line in said.split("\n") if line.startswith("lacks")}
+    assert lacking == (LATE if annex == "materials" else set())
+    assert "goniometric" not in said or annex != "materials"
+
+
+def test_twin_a_core_that_imports_an_annex_does_not_start(tmp_path):
+    run = without(ANNEXES, tmp_path)
+    module = tmp_path / "gonio_mi" / "plots" / "plot.py"
+    module.write_text("from ..analysis import charts\n" + module.read_text())
+    code, said = run("-c", LOOK)
+    assert code != 0
+    assert "No module named 'gonio_mi.analysis'" in said
