@@ -10,10 +10,9 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import SpecimenError
-from ..mitsuba_names import MINIMAL
 from .exits import Exits
 from .polarisation import in_instrument_frames, power_of, product
-from .rays import Flight, departure, encounter, escapes, flight_from, intersect, proceed
+from .rays import Flight, departure, escapes
 from .setup import Setup
 from .sums import Sums
 from .surface_events import MAX_POWER, flux_context, is_delta, shading_normal_correction
@@ -159,46 +158,21 @@ class Deposits:
             i += 1
         return sound
 
-    def take_facets_off(
-        self, si: mi.SurfaceInteraction3f, ray: mi.Ray3f, active: mi.Bool
-    ) -> None:
-        """Take off what is known: what facets send along the line of active rays.
+    def take_facets_off(self, ray: mi.Ray3f, active: mi.Bool) -> None:
+        """Take off what is known: what facets send along the line of active rays."""
 
-        From where they met the first facet, down to the bottom.
-        """
-        d = mi.Vector3f(ray.d)
-        self._take(si, d, active)
-        if not self.sums.facets.once:
-            self._take_below(si, d, active)
+        def take(number: mi.UInt32, entered: mi.Bool) -> None:
+            self.take_facet_off(number, active & entered)
 
-    @dr.syntax
-    def _take_below(
-        self, si: mi.SurfaceInteraction3f, d: mi.Vector3f, active: mi.Bool
-    ) -> None:
-        """Take off what facets send further down the line."""
-        specimen, side = self.setup.specimen, self.setup.beam.side
-        scene = specimen.scene
-        start, offset = departure(specimen, si, d, d)
-        start += dr.copysign(offset, dr.dot(si.n, d)) * si.n
-        flight = flight_from(specimen, mi.Ray3f(start, d), si.n, offset)
-        flying = mi.Bool(active)
-        while flying:
-            below = intersect(scene, flight.ray, MINIMAL, flying, True)
-            met = encounter(specimen, side, flight, below, flying)
-            self._take(below, d, met.real)
-            proceed(specimen, flight, below, met, met.real, d)
-            flying = met.real | met.goes_on
+        self.sums.facets.along(ray, active & self.lanes, take)
 
-    def _take(
-        self, si: mi.SurfaceInteraction3f, d: mi.Vector3f, active: mi.Bool
-    ) -> None:
-        """Take off what one facet sends where the line enters it from outside."""
-        facets = self.sums.facets
-        entered = active & self.lanes & facets.entered(si, d)
-        patch = dr.gather(mi.UInt32, facets.patch, si.prim_index, entered)
-        light = dr.gather(mi.Spectrum, facets.light, si.prim_index, entered)
-        entered &= patch < self.setup.n_patches
-        self.sums.deposit(patch, light, entered, self.batch, -1)
+    def take_facet_off(self, number: mi.UInt32, active: mi.Bool) -> None:
+        """Take off what one facet sends."""
+        facets, active = self.sums.facets, active & self.lanes
+        patch = dr.gather(mi.UInt32, facets.patch, number, active)
+        light = dr.gather(mi.Spectrum, facets.light, number, active)
+        active &= patch < self.setup.n_patches
+        self.sums.deposit(patch, light, active, self.batch, -1)
 
     def density(
         self,

@@ -119,6 +119,9 @@ def trace(
     # to which of the faces at an edge a ray goes depends on its packet: all of a point
     # may, and packets must be the same however rays are shared among launches
     together = beam.footprint != "point"
+    facets = None if deposits is None else deposits.sums.facets
+    if facets is not None and not facets.once:
+        deposits.take_facets_off(flight.ray, active)
     while active:
         ray = flight.ray
         si = intersect(scene, ray, PARTIALS, active, (depth == 0) & together)
@@ -138,8 +141,8 @@ def trace(
             sound = deposits.add(si, bsdf, flight, β, depth, sampler, active)
             fate[active & ~sound] = mi.UInt32(Fate.INVALID)
             active &= sound
-        if deposits is not None and deposits.sums.facets is not None:
-            deposits.take_facets_off(si, ray, active & (depth == 0))
+        if facets is not None and facets.once:
+            deposits.take_facet_off(si.prim_index, active & (depth == 0))
 
         # ------------------------------- Scattering -----------------------------------
         u1, u2 = sampler.next_1d(active), sampler.next_2d(active)
