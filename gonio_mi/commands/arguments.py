@@ -317,7 +317,7 @@ def sentence(error: BaseException) -> str:
 
 # --------------------------------------------------------- tables of measured values
 
-TABLE_OPTIONS = ("channel", "quantity", "columns", "azimuth")
+TABLE_OPTIONS = ("channel", "quantity", "columns", "azimuth", "panel_reflectance")
 
 
 def add_table_options(group: Group) -> None:
@@ -346,6 +346,13 @@ def add_table_options(group: Group) -> None:
         "FROM",
         "Zero of azimuths of exit that are relative to incidence: source or mirror "
         "(the side of the mirror direction).",
+    )
+    add_number(
+        group,
+        "--panel-reflectance",
+        "X",
+        "Reflectance of the reference panel that values are relative to. Default: that "
+        "of the title, or 1.",
     )
 
 
@@ -397,6 +404,7 @@ def table_of(path: str, options: argparse.Namespace) -> MeasuredTable:
             quantity=options.quantity,
             columns=columns,
             azimuth=options.azimuth,
+            panel_reflectance=options.panel_reflectance,
         )
     except FileFormatError:
         check_kind(path, "table")
