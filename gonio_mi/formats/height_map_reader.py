@@ -98,7 +98,9 @@ def _check_labels(path: str, n_columns: int) -> None:
     """
     with open(path, encoding="utf-8", errors="replace") as stream:
         for line in filter(LABEL.search, stream):
-            if not line.startswith("#") or len(line.strip("# \n").split()) == n_columns:
+            words = line.strip("# \n").split()
+            names = len(words) == n_columns and not any(w[0].isdigit() for w in words)
+            if names or not line.startswith("#"):
                 raise LabelsError(
                     f"it is text with labels, such as {line.strip():.40}, and no map "
                     "of heights"

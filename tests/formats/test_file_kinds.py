@@ -110,10 +110,9 @@ def test_text_with_labels_is_no_map_of_heights(formats, tmp_path):
         assert heights.shape == (4, 4)
 
 
-def test_a_spectrum_is_no_surface(tmp_path, capsys):
+def test_a_spectrum_is_shown_as_no_surface(tmp_path, capsys):
     path = tmp_path / "glass.dat"
     path.write_text("{ Thickness } 3.0\n" + SPECTRUM)
-    assert "and no map of heights" in said(capsys, "surface", path)
     assert "must name the columns" in said(capsys, "show", path)
 
 
