@@ -16,6 +16,7 @@ from ..errors import (
     FileFormatError,
     SettingError,
     VariantError,
+    did_you_mean,
     no_file,
     printable,
     shortened,
@@ -246,6 +247,7 @@ def set_variant(variant: str, variants: Sequence[str] = ()) -> None:
     if variant not in usable:
         raise SettingError(
             f"--variant must be one of {', '.join(usable)}, got {variant!r}"
+            f"{did_you_mean(variant, usable)}"
         )
     if variant.startswith("llvm"):
         llvm.check()
@@ -266,6 +268,8 @@ def number(text: str) -> float:
         with contextlib.suppress(ValueError):
             return kind(text)
     apart = " (numbers are separated by spaces: 0 15.5 30)" if "," in text else ""
+    with contextlib.suppress(ValueError):
+        apart = f" (write {float(text.rstrip(' %')) / 100:g})" if "%" in text else apart
     raise argparse.ArgumentTypeError(
         f"must be a number such as 45 or 1e7, got {text!r}{apart}"
     )

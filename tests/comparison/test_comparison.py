@@ -556,6 +556,21 @@ def test_alpha_is_a_probability(alpha):
         compare(gloss(), gloss(seed=2), alpha=alpha)
 
 
+@pytest.mark.usefixtures("mono")
+def test_a_specimen_is_measured_as_the_other_was():
+    """Exact against 1 / (2 pi), by integrals; twin: another reflectance differs."""
+    half, more = ({"type": "diffuse", "reflectance": one} for one in (0.5, 0.6))
+    table = MeasuredTable([30], [0], [45], [180], [0.5 / np.pi], aperture_half_angle=2)
+    assert compare(half, table, uncertainty=1e-4).passed
+    assert not compare(more, table, uncertainty=1e-4).passed
+    record = gonio.measure(half, 30, rays=2**14, collector="projected:4x4")
+    assert compare(record, half).passed
+    assert compare(half, record).passed
+    assert not compare(record, more).passed
+    with pytest.raises(TypeError, match="rays applies to a specimen, got none"):
+        compare(record, record, rays=3)
+
+
 def test_wrong_types():
     with pytest.raises(TypeError, match="record must be a Record"):
         compare([], gloss())
