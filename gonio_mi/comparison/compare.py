@@ -119,17 +119,7 @@ def compare(
         If the two cannot be compared: the message names what differs.
     """
     alpha = checked_number("alpha", alpha, 1e-100, 1, "a probability between 0 and 1")
-    if is_specimen(record) and isinstance(other, (Record, MeasuredTable)):
-        record = measure_like(record, other, **settings)
-    elif is_specimen(other) and isinstance(record, Record):
-        other = measure_like(other, record, **settings)[0]
-    elif settings:
-        raise SettingTypeError(f"{min(settings)} applies to a specimen, got none")
-    records = [record] if isinstance(record, Record) else list(record)
-    if not records or not all(isinstance(r, Record) for r in records):
-        raise SettingTypeError(
-            f"record must be a Record or several, got {shown(record)}"
-        )
+    records, other = _with_specimen_measured(record, other, settings)
     integrated = isinstance(other, MeasuredTable) and any(
         without_chance(one.tallies) for one in records
     )
@@ -173,6 +163,24 @@ def compare(
         more = _note_on_azimuths(records, other, given)
         found = replace(found, notes=(*found.notes, *more))
     return found
+
+
+def _with_specimen_measured(
+    record: Any, other: Any, settings: dict[str, Any]
+) -> tuple[list[Record], Any]:
+    """Records, and what they are compared with; a specimen is measured as the other."""
+    if is_specimen(record) and isinstance(other, (Record, MeasuredTable)):
+        record = measure_like(record, other, **settings)
+    elif is_specimen(other) and isinstance(record, Record):
+        other = measure_like(other, record, **settings)[0]
+    elif settings:
+        raise SettingTypeError(f"{min(settings)} applies to a specimen, got none")
+    records = [record] if isinstance(record, Record) else list(record)
+    if not records or not all(isinstance(r, Record) for r in records):
+        raise SettingTypeError(
+            f"record must be a Record or several, got {shown(record)}"
+        )
+    return records, other
 
 
 def _note_on_azimuths(

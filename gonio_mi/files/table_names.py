@@ -238,10 +238,10 @@ def _unit(text: str) -> str:
 
 def _words(text: str) -> frozenset[str]:
     """Meanings of the words of a name, and its signs and unknown words as they are."""
-    for letter, word in WRITTEN.items():
-        text = text.replace(letter, f" {word} ")
-    for pattern, words in PHRASES:
-        text = re.sub(pattern, words, text)
+    for letter, name in WRITTEN.items():
+        text = text.replace(letter, f" {name} ")
+    for pattern, phrase in PHRASES:
+        text = re.sub(pattern, phrase, text)
     found = re.findall(r"[^\W\d_]+|[0-9][0-9.]*|[^\w\s.,;:=@()\[\]{}]", text.lower())
     found = " ".join(SHORT.get(word, word) for word in found).split()
     words = {MEANING.get(word, word) for word in found} - {""}

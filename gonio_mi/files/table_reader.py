@@ -191,10 +191,13 @@ class _Reading:
         self._check_ranges(columns, quantity)
         if self.channel is not None:
             self.settings.setdefault("channel", self.channel)
-        notes_of = {"header": self.header, "notes": tuple(self.notes)}
         try:
             return MeasuredTable(
-                **columns, **self.settings, **notes_of, name=self.place
+                **columns,
+                **self.settings,
+                header=self.header,
+                name=self.place,
+                notes=tuple(self.notes),
             )
         except ValueError as error:
             raise FileFormatError(f"{self.place}: {error}") from None
@@ -526,9 +529,9 @@ class _Reading:
             return column.coverage
         lines = [line for line in self.titles if re.search(r"\bk\s*[=:]", line, re.I)]
         names = [name.replace("_", " ").strip().lower() for name in self.text.names]
-        other = {coverage_of(line) for line in lines} - {0, column.coverage}
-        other |= set(FACTOR_NAMES) & set(names)
-        return float("nan") if other else column.coverage
+        stated = {coverage_of(line) for line in lines} - {0, column.coverage}
+        left_open = stated or set(FACTOR_NAMES) & set(names)
+        return float("nan") if left_open else column.coverage
 
     def _check_ranges(self, columns: Mapping[str, Any], quantity: str) -> None:
         """Raise FileFormatError with line and column of the first that does not fit."""

@@ -180,7 +180,7 @@ def _matrix(place: str, lines: Sequence[Line]) -> TextTable | None:
         parts = [corner] if whole else re.split(r"[\\/|]", corner)
         found = [column for column in map(recognised, parts) if column]
         roles = [column.role for column in found]
-        if len(roles) < 2 and max(map(abs, angles[2:])) > 90:
+        if len(roles) < 2 and any(abs(angle or 0) > 90 for angle in angles[2:]):
             continue  # wavelengths
         if roles in (["theta_o"], ["theta_i"]):
             roles += {"theta_o", "theta_i"} - set(roles)
@@ -191,7 +191,7 @@ def _matrix(place: str, lines: Sequence[Line]) -> TextTable | None:
             )
         unit = next((f" [{one.unit}]" for one in found if one.unit), "")
         commas = has_decimal_commas(lines[1:], delimiter)
-        matrix = TextTable(place, delimiter, number, [corner, *across], lines[1:])
+        matrix = TextTable(place, delimiter, number, [corner, *across], [*lines[1:]])
         matrix.decimal_comma = commas
         rows = [
             (n, f"{row[0]};{angle};{value}")
