@@ -70,6 +70,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Default: those of the process.
     """
     arguments = sys.argv[1:] if arguments is None else list(arguments)
+    if arguments[:1] == ["help"]:
+        arguments = [*arguments[1:], "--help"]
     _open_standard_streams()
     with warnings.catch_warnings():
         warnings.simplefilter("always", RuntimeWarning)

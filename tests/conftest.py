@@ -59,8 +59,8 @@ def pytest_xdist_make_scheduler(config, log):
 
 # Files whose tests take most of the time: -m "not slow" leaves them out.
 SLOW = """
-    alarms annexes azimuth_symmetry benchmark bits bsdf_files campaign chart cosines coverage
-    created_light dark_light daylight exports file_safety files_radiance first_mistakes
+    alarms annexes azimuth_symmetry benchmark bits bsdf_files campaign chart cosines
+    coverage created_light dark_light daylight exports file_safety files_radiance first_mistakes
     fitting foreign_plugins foreign_verdicts fuzz glass goniometric goniometric_files
     half_vectors handbook handbook_blocks heightfield integrals intervals kernels llvm
     lobes measured_like media mesh_specimens micro_normals microgeometry mueller

@@ -17,6 +17,7 @@ from ..errors import (
     FileFormatError,
     SettingError,
     VariantError,
+    did_you_mean,
     no_file,
     printable,
     shortened,
@@ -247,6 +248,7 @@ def set_variant(variant: str, variants: Sequence[str] = ()) -> None:
     if variant not in usable:
         raise SettingError(
             f"--variant must be one of {', '.join(usable)}, got {variant!r}"
+            f"{did_you_mean(variant, usable)}"
         )
     if variant.startswith("llvm"):
         llvm.check()
@@ -267,6 +269,8 @@ def number(text: str) -> float:
         with contextlib.suppress(ValueError):
             return kind(text)
     apart = " (numbers are separated by spaces: 0 15.5 30)" if "," in text else ""
+    with contextlib.suppress(ValueError):
+        apart = f" (write {float(text.rstrip(' %')) / 100:g})" if "%" in text else apart
     raise argparse.ArgumentTypeError(
         f"must be a number such as 45 or 1e7, got {text!r}{apart}"
     )
@@ -318,7 +322,7 @@ def sentence(error: BaseException) -> str:
 
 # --------------------------------------------------------- tables of measured values
 
-TABLE_OPTIONS = ("channel", "quantity", "columns", "azimuth")
+TABLE_OPTIONS = ("channel", "quantity", "columns", "azimuth", "panel_reflectance")
 
 
 def add_table_options(group: Group) -> None:
@@ -347,6 +351,13 @@ def add_table_options(group: Group) -> None:
         "FROM",
         "Zero of azimuths of exit that are relative to incidence: source or mirror "
         "(the side of the mirror direction).",
+    )
+    add_number(
+        group,
+        "--panel-reflectance",
+        "X",
+        "Reflectance of the reference panel that values are relative to. Default: that "
+        "of the title, or 1.",
     )
 
 
@@ -397,6 +408,7 @@ def table_of(path: str, options: argparse.Namespace) -> MeasuredTable:
             quantity=options.quantity,
             columns=columns,
             azimuth=options.azimuth,
+            panel_reflectance=options.panel_reflectance,
         )
     except FileFormatError:
         check_kind(path, "table")

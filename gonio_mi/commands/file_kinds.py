@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -51,6 +52,18 @@ OTHERS: tuple[tuple[tuple[str, ...], str, str], ...] = (
         "in .npz or .exr",
     ),
     (
+        (".xyz", ".pts", ".pcd", ".las", ".laz", ".e57"),
+        "points",
+        "is a cloud of points, which no command reads: make a mesh of it (obj, ply, "
+        "stl) or heights on a regular grid (npy)",
+    ),
+    (
+        (".rad", ".oct"),
+        "radiance",
+        "is a scene of Radiance, which no command reads: scenes are Mitsuba's, in XML, "
+        "and meshes end in .obj, .ply or .stl",
+    ),
+    (
         (".py",),
         "plugin",
         "is a program in Python: give a plugin with --plugin, and its name as the "
@@ -59,6 +72,10 @@ OTHERS: tuple[tuple[tuple[str, ...], str, str], ...] = (
 )
 OF_RADIANCE = "is a BSDF of Radiance: measure the specimen goniometric:filename={path}"
 SCENE = "is a scene: give it to gonio-mi measure"
+UNKNOWN = (
+    "is no specimen: scenes are Mitsuba's, in XML, meshes end in .obj, .ply or .stl, "
+    "and heights in .npy, .png, .x3p or as instruments have them"
+)
 
 
 def check_kind(path: str, wanted: str) -> None:
@@ -77,7 +94,8 @@ def check_kind(path: str, wanted: str) -> None:
     """
     if Path(path).is_file():
         kind, sentence = _kind(Path(path))
-        if kind not in (wanted, "unknown"):
+        said = ("unknown",) if wanted == "specimen" else ("unknown", "other")
+        if kind not in (wanted, *said):
             raise SettingError(f"{path} {sentence.format(path=path)}")
 
 
@@ -123,7 +141,12 @@ def _kind(path: Path) -> tuple[str, str]:
         (tuple(MESHES), *MESH),
         (height_maps.ENDINGS, *HEIGHTS),
     )
+    if name.endswith(".ply") and not re.search(rb"element face +[1-9]", head):
+        name = "points.xyz"
+    # text with labels is told from heights by who reads it
+    if name.endswith((".asc", ".dat")) and re.search(rb"(?m)^[^#\n]*[A-Za-z]{3}", head):
+        return "unknown", ""
     for endings, kind, sentence in kinds:
         if name.endswith(endings):
             return kind, sentence
-    return "unknown", ""
+    return ("unknown", "") if head.lstrip().startswith(b"<") else ("other", UNKNOWN)

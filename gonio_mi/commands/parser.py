@@ -15,9 +15,25 @@ from ..errors import SettingError, did_you_mean
 ELSEWHERE = {
     **dict.fromkeys(("--angle", "--angles", "--theta", "--incidence"), "--theta-i"),
     **dict.fromkeys(("--azimuth", "--phi"), "--phi-i"),
-    **dict.fromkeys(("--samples", "--spp", "--n-rays", "--photons"), "--rays"),
+    **dict.fromkeys(("--samples", "--spp", "--n-rays", "--photons", "-n"), "--rays"),
     **dict.fromkeys(("--out", "--file"), "--output"),
+    "--level": "--effort",
 }
+
+# Options that nothing of ours is alike, and what does what they do.
+HINTS = {
+    "--pitch": "; --size is the extent in x: the pitch, times one less than the points",
+    **dict.fromkeys(
+        ("--threads", "--cores", "-j"),
+        "; all cores are used: taskset -c 0-3 gonio-mi ... takes four of them",
+    ),
+}
+
+# Parameters of BSDFs, which stand in the word of the specimen.
+OF_SPECIMENS = (
+    *("alpha", "alpha_u", "alpha_v", "distribution", "reflectance", "roughness"),
+    *("int_ior", "ext_ior", "eta", "material"),
+)
 
 
 class UsageError(SettingError):
@@ -94,16 +110,25 @@ class Parser(argparse.ArgumentParser):
     def _check_options(self, words: Sequence[str]) -> None:
         """Name the option that an unknown one resembles, before missing arguments."""
         known = self._option_string_actions
-        for word in words:
-            name = word.partition("=")[0]
-            if name[:2] != "--" or name in known:
+        for word, after in zip(words, [*words[1:], ""]):
+            name, equals, value = word.partition("=")
+            if not name.startswith("-") or name in known:
+                continue
+            if name[:2] != "--" and name not in (ELSEWHERE | HINTS):
                 continue
             ours = ELSEWHERE.get(name.lower().replace("_", "-"))
             # the likeness of another program's word would mislead
             meant = did_you_mean(name, known)
             if ours in known:
                 meant = f"; did you mean {ours}?"
+            elif name != "--pitch" or "--size" in known:
+                meant = HINTS.get(name, meant)
             role = (ours or name).removeprefix("--").replace("-", "_")
+            metavars = {action.metavar for action in self._get_positional_actions()}
+            for takes in metavars & {"SPECIMEN", "BSDF", "MODEL"}:
+                if role in OF_SPECIMENS:
+                    value = value if equals else after
+                    meant = f"; say {takes}:{role}={value}"
             if role in ("theta_i", "phi_i") and "--columns" in known:
                 meant = f"; for a table without this angle say --columns {role}=30"
             if meant:

@@ -243,7 +243,7 @@ def attributes(record: Record, index: int, part: str) -> dict[str, Any]:
     tally = record.tallies[index]
     integrals = isinstance(tally, Integrals)
     kind = f"{part} of integrals" if integrals else part
-    n_views = max(len(tally.hits) for tally in record.tallies)
+    n_rows, n_columns = record.subdivision.shape
     rows = {
         "meaning": MEANINGS.get(kind, MEANINGS[part]),
         "conventions": CONVENTIONS,
@@ -263,8 +263,8 @@ def attributes(record: Record, index: int, part: str) -> dict[str, Any]:
         rows |= {f"ledger.{fate}": str(n) for fate, n in ledger.items()}
     return {f"gonio.{key}": value for key, value in rows.items()} | {
         "compression": OpenEXR.ZIP_COMPRESSION,
-        # OpenEXR wants one display window for all parts: that of the picture
-        "displayWindow": ((0, 0), (n_views * VIEW_SIZE - 1, VIEW_SIZE - 1)),
+        # OpenEXR wants one display window for all parts: that of the patches
+        "displayWindow": ((0, 0), (n_columns - 1, n_rows - 1)),
     }
 
 

@@ -35,7 +35,13 @@ from ..threads import two_threads
 from ..transport.kernels import launches_kernels
 from ..transport.shapes import WATERTIGHT, remember, scene_of
 from ..transport.variants import check_variant, is_parallel
-from .specimen_text import SpecimenLike, is_word, parse_specimen, with_real_indices
+from .specimen_text import (
+    CALLED,
+    SpecimenLike,
+    is_word,
+    parse_specimen,
+    with_real_indices,
+)
 
 # Texts that may hold heights or measured values.
 TEXTS = (".txt", ".csv", ".tsv")
@@ -208,6 +214,8 @@ def _with_advice(text: str, loaded_from: Any) -> str:
     """Mitsuba's message with what would mend it, where that is known."""
     if missing := re.search(r'Plugin "([^"]+)" not found', text):
         own = "; one of your own is imported before, or named by --plugin FILE"
+        if missing[1] in CALLED:
+            return f"{text.rstrip('!')}; did you mean {CALLED[missing[1]]}?"
         return text.rstrip("!") + (did_you_mean(missing[1], _plugin_files()) or own)
     if variant := re.search(r"require the use of an? (RGB|spectral) variant", text):
         return f"{text.rstrip('!')}, such as llvm_ad_{variant[1].lower()}"

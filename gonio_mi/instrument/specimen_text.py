@@ -20,6 +20,15 @@ SpecimenLike: TypeAlias = (
 # Refractive indices, for which Mitsuba takes an integer for a name in its table.
 INDICES = {"int_ior", "ext_ior"}
 
+# What others call BSDFs, and the word for each here.
+CALLED = {
+    "ggx": "roughconductor:distribution=ggx",
+    "beckmann": "roughconductor:distribution=beckmann",
+    **dict.fromkeys(("lambert", "lambertian"), "diffuse"),
+    "mirror": "conductor",
+    "glass": "dielectric",
+}
+
 
 def parse_specimen(text: str) -> Any:
     """Specimen from a word of the command line.

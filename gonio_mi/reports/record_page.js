@@ -102,6 +102,12 @@
   const circle = (r) => ({ type: "circle", x0: -r, x1: r, y0: -r, y1: r,
                            line: { color: r < 1 ? "#fff" : "#333", width: r < 1 ? 0.5 : 1 } });
 
+  // The polar angle of a circle within the horizon.
+  const degrees = (r) => ({ text: `${Math.round(Math.asin(r) / radians(1))}\u00b0`, showarrow: false,
+                            x: r * Math.cos(radians(75)), y: r * Math.sin(radians(75)), borderpad: 1,
+                            font: { size: 10, color: "#fff" }, bgcolor: "#0008" });
+  const RINGS = [0.5, Math.sqrt(0.75)]; // sines of 30 and 60 degrees
+
   function towards(theta, phi) {
     const [t, p] = [theta, phi].map(radians);
     return [Math.sin(t) * Math.cos(p), Math.sin(t) * Math.sin(p), Math.cos(t)];
@@ -154,7 +160,7 @@
                   colorscale: "Viridis", ...picture, colorbar: { thickness: 14, ...picture.colorbar } };
     await Plotly.react(plot, [map, ...marks(from.direction, hemisphere)], {
       width, height: width - BAR + 40, margin: { l: 5, r: BAR, t: 32, b: 5, autoexpand: false },
-      shapes: [0.5, Math.sqrt(0.75), 1].map(circle), plot_bgcolor: "#fff", hovermode: "closest",
+      shapes: [...RINGS, 1].map(circle), annotations: RINGS.map(degrees), plot_bgcolor: "#fff", hovermode: "closest",
       xaxis: plain(), yaxis: { ...plain(), scaleanchor: "x" } }, { displaylogo: false });
     const tell = (patch) => { output.textContent = told(known[patch], patch, apart); };
     if (key in pointed) tell(pointed[key]); // in its new state

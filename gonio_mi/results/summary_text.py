@@ -162,11 +162,8 @@ def _totals_text(summary: Summary, most_rows: int) -> str:
         said += "\n<: below single-precision rounding"
     n_batches = summary.record.n_batches
     if not summary.integrals and any(_leaves_open(one, n_batches) for one in shown):
-        unseen = -math.log((1 - LEVEL) / 2)
-        text = (
-            "an interval far wider than its std_err leaves room for light that no ray "
-            f"may have found: what about {unseen:.1f} rays carry"
-        )
+        text = "an interval far wider than its std_err leaves room for light so rare "
+        text += "that no ray may have met it"
         said += f"\n{_filled('', text)}"
     return "\n".join(lines) + said
 

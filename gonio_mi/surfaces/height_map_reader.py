@@ -11,6 +11,7 @@ import contextlib
 import json
 import logging
 import os
+import re
 import sys
 import warnings
 from collections.abc import Sequence
@@ -24,6 +25,13 @@ ROOM, ROOM_PER_BYTE = 2**32, 2**8
 
 # Points that a byte of a file can stand for: no compression in use does better.
 POINTS_PER_BYTE = 1032
+
+# What is no number in a line of text, and stands for none.
+LABEL = re.compile(r"\b(?!(?:nan|inf|infinite|bad)\b)[^\W\d_]{2,}|[{:=]", re.IGNORECASE)
+
+
+class LabelsError(ValueError):
+    """Text that holds something else than heights."""
 
 
 def read(path: str, formats: Sequence[str]) -> tuple[dict[str, Any], Any]:
@@ -50,8 +58,8 @@ def _first_of(path: str, formats: Sequence[str]) -> tuple[dict[str, Any], Any]:
             return _tiff(path) if name == "tiff" else _map(path, name)
         except Exception as error:
             said = said or error
-            if isinstance(error, MemoryError):
-                break
+            if isinstance(error, (MemoryError, LabelsError)):
+                raise
     raise said or ValueError("no format was asked for")
 
 
@@ -72,6 +80,8 @@ def _map(path: str, name: str) -> tuple[dict[str, Any], Any]:
             raise ValueError("its points are on no regular grid")
         heights = np.ma.filled(found.heights().astype(float), np.nan)
         shape = heights.shape
+        if name == "asc" and not (sizes or found.unit or channel.name != "Default"):
+            _check_labels(path, shape[0])
         return {
             "format": reader.name(),
             "channel": channel.name,
@@ -79,6 +89,22 @@ def _map(path: str, name: str) -> tuple[dict[str, Any], Any]:
             "unit": found.unit,
             "periodic": bool(found.is_periodic),
         }, np.ascontiguousarray(heights.T)
+
+
+def _check_labels(path: str, n_columns: int) -> None:
+    """Raise LabelsError for text with labels, of which the library has read nothing.
+
+    Comments may say anything, but do not name the columns of a map.
+    """
+    with open(path, encoding="utf-8", errors="replace") as stream:
+        for line in filter(LABEL.search, stream):
+            words = line.strip("# \n").split()
+            names = len(words) == n_columns and not any(w[0].isdigit() for w in words)
+            if names or not line.startswith("#"):
+                raise LabelsError(
+                    f"it is text with labels, such as {line.strip():.40}, and no map "
+                    "of heights"
+                )
 
 
 def _tiff(path: str) -> tuple[dict[str, Any], Any]:

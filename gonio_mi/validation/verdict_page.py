@@ -26,21 +26,28 @@ from .verdict import FAILS, HOLDS, Property, Verdict
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.collections import QuadMesh
+    from matplotlib.colors import Normalize
     from matplotlib.figure import Figure
 
 # Style of the word that says how a property fares; others are not certain.
 STYLES = {FAILS: "background: #c33; color: white", HOLDS: "background: #cec"}
 UNCERTAIN = "background: #fd8"
 
-# Scores beyond this have the colour of this.
-MAX_COLOUR = 6
+# Scores to which the colours reach, at least and at most, and up to which they are
+# linear.
+MIN_SCALE, MAX_SCALE, LINEAR = 6, 1000, 2
+
+# Width in inches: a page of 500 pixels shows them without a magnifying glass.
+WIDTH = 7.5
 
 LEGEND = (
     "Maps of both hemispheres in 1/sr, seen from the normal: the circle is the "
     "direction to the source, the cross the patch whose score is the worst. Scores z "
-    "are normal if nothing is wrong: beyond 5 or so, they are no chance. Below, what "
-    "is drawn and what is due in the plane through that patch, which a line marks; the "
-    "band is two standard errors wide on either side of what is due."
+    "are normal if nothing is wrong: beyond 5 or so, they are no chance; their colours "
+    "are linear up to 2, and logarithmic beyond. Below, what is drawn and what is due "
+    "in the plane through that patch, which a line marks; the band is two standard "
+    "errors wide on either side of what is due."
 )
 
 check_report = check_page
@@ -118,27 +125,37 @@ def _cells(one: Property) -> Iterator[str]:
 def draw(maps: FourMaps) -> Figure:
     """Figure of one :class:`FourMaps`: what is drawn, what is due, and the scores.
 
-    One row for each hemisphere into which anything goes, in 1/sr and in orthographic
-    projection; the lit side is the upper row.
+    Of directions and of weights, one row for each hemisphere into which anything goes,
+    in 1/sr and in orthographic projection; the lit side is the upper row.
 
     Returns
     -------
     matplotlib.figure.Figure
     """
+    from matplotlib.colors import AsinhNorm, Normalize
+
     comparisons = _comparisons(maps)
     flux = [values for pair in comparisons for _, values in pair[:2]]
     halves = [half for half in (0, 1) if any(one[half].any() for one in flux)] or [0]
-    figure = new_figure(None, figsize=(16, 2.9 * len(halves)))
-    axes = figure.subplots(len(halves), 6, squeeze=False)
-    for row, half in zip(axes, halves):
-        for places, (*pair, (title, z)) in zip((row[:3], row[3:]), comparisons):
-            top = max(values[half].max() for _, values in pair) or 1
-            for place, (name, values) in zip(places, pair):
-                _patches(place, maps, values[half], name, 0, top, "viridis")
-            limits = -MAX_COLOUR, MAX_COLOUR
-            _patches(places[2], maps, z[half], title, *limits, "RdBu_r")
-            _cross(places[2], maps, z, half)
-        row[0].set_ylabel("lit side" if half == 0 else "other side")
+    rows = [(half, comparison) for comparison in comparisons for half in halves]
+    figure = new_figure(None, figsize=(WIDTH, 0.3 * WIDTH * len(rows)))
+    axes = figure.subplots(len(rows), 3, squeeze=False)
+    for places, (half, (*pair, (title, z))) in zip(axes, rows):
+        scale = Normalize(0, max(values[half].max() for _, values in pair) or 1)
+        for place, (name, values) in zip(places, pair):
+            mesh = _patches(place, maps, values[half], name, scale)
+        figure.colorbar(mesh, ax=places[:2], shrink=0.8, aspect=15)
+        top = float(np.clip(np.abs(z).max(), MIN_SCALE, MAX_SCALE))
+        scale = AsinhNorm(LINEAR, -top, top)
+        worst = f"\nworst {z[_worst(z)]:.3g}"
+        mesh = _patches(places[2], maps, z[half], title + worst, scale, "RdBu_r")
+        bar = figure.colorbar(mesh, ax=places[2], shrink=0.8, aspect=15)
+        inner = min(10, top / 3)
+        ticks = [-top, -inner, 0, inner, top]
+        bar.set_ticks(ticks, labels=[f"{one:.4g}" for one in ticks])
+        bar.minorticks_off()
+        _cross(places[2], maps, z, half)
+        places[0].set_ylabel("lit side" if half == 0 else "other side")
     return figure
 
 
@@ -153,12 +170,12 @@ def draw_plane(maps: FourMaps) -> Figure:
     -------
     matplotlib.figure.Figure
     """
-    figure = new_figure(None, figsize=(12, 3))
+    figure = new_figure(None, figsize=(WIDTH, 0.7 * WIDTH))
     patches = maps.subdivision
     edges = np.degrees(patches.theta_edges)
     edges = np.concatenate([-edges[:0:-1], edges])
     for axes, (*lines, (_, z)), error in zip(
-        figure.subplots(1, 2), _comparisons(maps), _errors(maps)
+        figure.subplots(2, 1), _comparisons(maps), _errors(maps)
     ):
         half, ring, sector = _worst(z)
         beyond = (sector + patches.n_phi // 2) % patches.n_phi
@@ -246,11 +263,10 @@ def _patches(
     maps: FourMaps,
     values: Floats,
     title: str,
-    low: float,
-    high: float,
-    cmap: str,
-) -> None:
-    """Fill each patch with the colour of its value."""
+    scale: Normalize,
+    colours: str = "viridis",
+) -> QuadMesh:
+    """Fill each patch with the colour of its value, and return the patches."""
     patches = maps.subdivision
     phi = np.linspace(0, 2 * np.pi, 4 * patches.n_phi + 1)
     radius = np.sin(patches.theta_edges)[:, None]
@@ -258,9 +274,8 @@ def _patches(
         radius * np.cos(phi),
         radius * np.sin(phi),
         np.repeat(values, 4, axis=1),
-        vmin=low,
-        vmax=high,
-        cmap=cmap,
+        norm=scale,
+        cmap=colours,
         rasterized=True,
     )
     wi = maps.condition.wi
@@ -269,7 +284,7 @@ def _patches(
     axes.set(aspect="equal", xticks=[], yticks=[], frame_on=False)
     # wider than the circle, whose sides would be cut
     axes.set(xlim=(-1.05, 1.05), ylim=(-1.05, 1.05))
-    axes.figure.colorbar(mesh, ax=axes, shrink=0.7)
+    return mesh
 
 
 # a verdict's own method shows it, and imports nothing of what is above it

@@ -21,7 +21,7 @@ from broken_bsdfs import EITHER, MISTAKES, RIGHT, judged
 from gonio_mi import SpecimenError, cli
 from gonio_mi.testing import assert_bsdf_valid
 from gonio_mi.threads import thread_count
-from gonio_mi.validation import POLARISED, PROPERTIES, save_report, validate
+from gonio_mi.validation import POLARISED, PROPERTIES, draw, save_report, validate
 from gonio_mi.validation.checks import cost, delta
 from gonio_mi.validation.commands import validate as command
 from gonio_mi.validation.commands.validate import told
@@ -236,7 +236,19 @@ def test_report_is_one_file(tmp_path):
     # what fails comes first, with all its places
     assert text.index('class="fails"') < text.index('class="holds"')
     path.unlink()
-    save_report(judged("weight_with_cosine", "quick"), path)
+    wrong = judged("weight_with_cosine", "quick")
+    save_report(wrong, path)
+    # colours reach as far as scores do; twin: 6 where nothing is wrong
+    drawn = {axes.get_title(): axes for axes in draw(wrong.maps[-1]).axes}
+    ends = [
+        axes.collections[0].norm.vmax
+        for name in ("z: counted - pdf", "z: weights - due")
+        for title, axes in drawn.items()
+        if title.startswith(f"{name}\nworst ")
+    ]
+    scores = wrong.maps[-1].weight_scores
+    assert ends == [6, min(1000, np.nanmax(np.abs(scores.z)))]
+    assert ends[1] > 6
     assert path.read_text().count("weight times pdf over") > 3
     assert 'src="http' not in text
     with pytest.raises(ValueError, match="html"):

@@ -1,5 +1,7 @@
 """Comparison of a record with another record or with measured values: the tests."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -17,10 +19,12 @@ from ...errors import (
     shown,
 )
 from ...files.measured_table import ANGLE_DIGITS, COLUMNS, NUMBERS, MeasuredTable
+from ...instrument.specimen_text import SpecimenLike
 from ...results.record import Record
 from ...results.tally import ELEMENT_NAMES, PolarisedTally, without_chance
 from .agreement import MIN_STUDENT_HITS, PointSet, judge, mostly_few
 from .comparison import Comparison
+from .measure_like import is_specimen, measure_like
 from .pairing import (
     check_uncertainties,
     labels,
@@ -48,12 +52,13 @@ ALPHA = 1e-3
 
 
 def compare(
-    record: Record | Sequence[Record],
-    other: Record | MeasuredTable,
+    record: Record | Sequence[Record] | SpecimenLike,
+    other: Record | MeasuredTable | SpecimenLike,
     *,
     uncertainty: float | None = None,
     scale_uncertainty: float | None = None,
     alpha: float = ALPHA,
+    **settings: Any,
 ) -> Comparison:
     r"""Compare a record with another one, or with measured values.
 
@@ -78,9 +83,11 @@ def compare(
 
     Parameters
     ----------
-    record : Record or sequence of Record
-        Several, if `other` is a table: what `measure_like` returns.
-    other : Record or MeasuredTable
+    record : Record, sequence of Record, or specimen
+        Several, if `other` is a table: what `measure_like` returns. A specimen (a
+        dictionary, an object of Mitsuba, a scene file) is measured as `other` was.
+    other : Record, MeasuredTable, or specimen
+        A specimen is measured as the record was.
         A record must have the same collector, channels and incident directions: there
         is no honest way from one set of patch means to another. Where only one has a
         lower hemisphere, no light may have come there. Of records of polarised variants
@@ -99,6 +106,8 @@ def compare(
         The same of a factor common to all its values: calibration.
     alpha : float
         Probability in (0, 1) with which two that have the same true values fail.
+    **settings
+        Of `measure_like`, for a specimen.
 
     Returns
     -------
@@ -110,11 +119,7 @@ def compare(
         If the two cannot be compared: the message names what differs.
     """
     alpha = checked_number("alpha", alpha, 1e-100, 1, "a probability between 0 and 1")
-    records = [record] if isinstance(record, Record) else list(record)
-    if not records or not all(isinstance(r, Record) for r in records):
-        raise SettingTypeError(
-            f"record must be a Record or several, got {shown(record)}"
-        )
+    records, other = _with_specimen_measured(record, other, settings)
     integrated = isinstance(other, MeasuredTable) and any(
         without_chance(one.tallies) for one in records
     )
@@ -158,6 +163,24 @@ def compare(
         more = _note_on_azimuths(records, other, given)
         found = replace(found, notes=(*found.notes, *more))
     return found
+
+
+def _with_specimen_measured(
+    record: Any, other: Any, settings: dict[str, Any]
+) -> tuple[list[Record], Any]:
+    """Records, and what they are compared with; a specimen is measured as the other."""
+    if is_specimen(record) and isinstance(other, (Record, MeasuredTable)):
+        record = measure_like(record, other, **settings)
+    elif is_specimen(other) and isinstance(record, Record):
+        other = measure_like(other, record, **settings)[0]
+    elif settings:
+        raise SettingTypeError(f"{min(settings)} applies to a specimen, got none")
+    records = [record] if isinstance(record, Record) else list(record)
+    if not records or not all(isinstance(r, Record) for r in records):
+        raise SettingTypeError(
+            f"record must be a Record or several, got {shown(record)}"
+        )
+    return records, other
 
 
 def _note_on_azimuths(

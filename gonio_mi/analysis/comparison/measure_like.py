@@ -1,5 +1,6 @@
 """A specimen, measured the way that a table or a record was."""
 
+import os
 import warnings
 from collections.abc import Sequence
 from typing import Any
@@ -117,6 +118,12 @@ def measure_like(
     if solid_angles is None:
         raise without_aperture(like)
     return _like_table(specimen, like, solid_angles, seed or 0, settings, progress)
+
+
+def is_specimen(thing: object) -> bool:
+    """Whether something is what is measured: a dictionary, an object, a scene file."""
+    is_file = isinstance(thing, (str, os.PathLike)) and str(thing).endswith(".xml")
+    return is_file or isinstance(thing, (dict, mi.Object))
 
 
 def without_aperture(table: MeasuredTable) -> SettingError:

@@ -13,6 +13,7 @@ import numpy as np
 from ...array_types import Flags, Floats
 from ...errors import SettingError, SpecimenError, did_you_mean, shown
 from ...instrument.loading import loaded
+from ...instrument.specimen_text import CALLED
 from .observations import Observations
 
 # Differences for derivatives, relative to a value or to a hundredth of its range: wide
@@ -264,9 +265,12 @@ class FittedModel:
         if free is None:
             kind = bsdf["type"]
             if kind not in FREE:
+                meant = did_you_mean(kind, FREE)
+                if kind in CALLED:
+                    meant = f"; did you mean {CALLED[kind]}?"
                 raise SettingError(
                     f"free must name what is to be found of {kind}: it is known of "
-                    f"{', '.join(FREE)} only{did_you_mean(kind, FREE)}"
+                    f"{', '.join(FREE)} only{meant}"
                 )
             free = [name for name in FREE[kind] if name not in bsdf]
         found = [Parameter.parse(text) for text in free]

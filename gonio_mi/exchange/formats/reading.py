@@ -163,6 +163,7 @@ def read_measured(
     quantity: str | None = None,
     columns: Mapping[str, str] | None = None,
     azimuth: str | None = None,
+    panel_reflectance: float | None = None,
 ) -> MeasuredTable:
     """Read measured values from text with columns, or from a file of another program.
 
@@ -188,8 +189,9 @@ def read_measured(
     Of others' texts the columns are known by names such as ``theta_i/deg``,
     ``Viewing Zenith [deg]``, ``src_a``, ``BRDF (1/sr)`` or ``550nm``; cells are
     separated by tabs, semicolons, commas or blanks, numbers may have decimal commas,
-    and lines of a title may come first. What was inferred is in `notes`; what is
-    ambiguous is asked for.
+    and lines of a title may come first. A matrix names its angles in the first cell,
+    ``theta_o/theta_i`` for rows and columns. Rows at 90 degrees are left out. What was
+    inferred is in `notes`; what is ambiguous is asked for.
 
     Parameters
     ----------
@@ -211,6 +213,10 @@ def read_measured(
         What azimuths of exit are counted from, counter-clockwise: from +x as those of
         incidence are, from the side of the source, or from that of the mirror
         direction, where signed polar angles are positive too.
+    panel_reflectance : float, optional
+        Of the reference panel that the values are relative to: they are multiplied with
+        it. Default: of reflectance factors that of a title such as "reference panel:
+        reflectance 0.98"; otherwise 1.
 
     Returns
     -------
@@ -233,13 +239,16 @@ def read_measured(
         )
     known = format_of(path)
     if known is None:
-        specified = Specified(channel, quantity, columns or {}, azimuth)
+        specified = Specified(
+            channel, quantity, columns or {}, azimuth, panel_reflectance
+        )
         return repeats_noted(read_text(path, specified))
     if known.refused:
         raise FileFormatError(f"{path}: {known.refused.format(path=path)}")
-    if columns is not None or azimuth is not None:
+    if (columns, azimuth, panel_reflectance) != (None, None, None):
         raise SettingError(
-            f"columns and azimuth apply to text with columns, got {path}"
+            "columns, azimuth and panel_reflectance apply to text with columns, got "
+            f"{path}"
         )
     if quantity not in (None, "brdf", *(() if known.reflection_only else ("btdf",))):
         held = "brdf" if known.reflection_only else "brdf or btdf"

@@ -1,8 +1,10 @@
-"""Aliases of column names in measured tables, and their meaning."""
+"""Names of columns in measured tables: units, coverage factors, and a list of words.
+
+A name is known if all of its words are; any other column is asked for.
+"""
 
 import math
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from scipy import special
@@ -12,17 +14,18 @@ ROLES = (*ANGLES, "value", "sigma", "wavelength")
 
 # Units as they are written, in small letters without blanks, and as they are called.
 PERCENT = "% percent pct"
-PER_SR = "1/sr sr^-1 sr-1 /sr sr^{-1} sr⁻¹ sr**-1 sr−1 sr^(-1)"
+PER_SR = "1/{0} {0}^-1 {0}-1 /{0} {0}^{{-1}} {0}⁻¹ {0}**-1 {0}−1 {0}^(-1)"
 UNITS = {
     "deg": "deg degree degrees ° º",
     "rad": "rad radian radians",
-    "1/sr": PER_SR,
+    "1/sr": PER_SR.format("sr"),
+    "1/msr": PER_SR.format("msr"),
     "%": PERCENT,
     "%/sr": " ".join(
         f"{part}{dot}{sr}"
         for part in PERCENT.split()
         for dot in ("", "·", "*")
-        for sr in PER_SR.split()
+        for sr in PER_SR.format("sr").split()
     ),
     "1": "1 - none unitless",
     "nm": "nm nanometer nanometers nanometre nanometres",
@@ -30,109 +33,91 @@ UNITS = {
     "m": "m meter meters metre metres",
 }
 UNIT_OF = {written: unit for unit, words in UNITS.items() for written in words.split()}
-GREEK = {"θ": " theta ", "ϑ": " theta ", "φ": " phi ", "ϕ": " phi ", "λ": " lambda "}
-GREEK |= {"Δ": " delta ", "σ": " sigma ", "±": " uncertainty "}
+VALUE_UNITS = ("", "1/sr", "1/msr", "%", "%/sr", "1")
 
-
-def _listed(words: str) -> set[str]:
-    """Words between blanks."""
-    return set(words.split())
-
-
-POLAR = _listed("theta polar zenith zen z")
-AZIMUTH = _listed("phi azimuth azimuthal azi az a")
-INCOMING = _listed(
-    "i in inc incident incidence incoming illumination input illuminating source src "
-    "sun solar light lighting"
-)
-OUTGOING = _listed(
-    "o out r s v view viewing exit exitant outgoing measure measured measurement "
-    "detector receiver scatter scattered scattering reflected observation observer "
-    "sensor emergent output receive detection det t transmitted transmission"
-)
-RELATIVE = _listed("relative rel delta d difference diff")
-FILLING = _listed("angle angles of the direction deg degrees")
-WAVELENGTH = _listed("wavelength wavelengths lambda wl wvl")
-ABBREVIATED = {"sza": "theta_i", "aoi": "theta_i", "saa": "phi_i", "vza": "theta_o"}
-ABBREVIATED |= {"vaa": "phi_o", "raa": "delta_phi", "dphi": "delta_phi"}
-QUANTITY_OF = {"btdf": "btdf", "brdf": "brdf", "ccbrdf": "brdf_cos"}
-QUANTITY_OF |= dict.fromkeys(("brf", "hcrf"), "reflectance_factor")
-# Nicodemus's symbols f_r and f_t, alone.
-SYMBOLS = {"fr": "brdf", "ft": "btdf"}
-VALUES = {"value", "values", "bsdf", *QUANTITY_OF}
-
-UNCERTAIN = _listed(
-    "sigma uncertainty uncertainties uncert unc std stdev error err u sd uc expanded "
-    "stddev deviation rsd"
-)
-# Uncertainties that are relative to the value, or not, and other words beside them.
-RELATIVE_WORDS = {"relative", "rel", "rsd", "fractional"}
-ABSOLUTE_WORDS = {"absolute", "abs"}
-OTHER_WORDS = RELATIVE_WORDS | ABSOLUTE_WORDS
-OTHER_WORDS |= _listed(
-    "standard combined total measurement random reflectance factor radiance f r dev "
-    "percent pct cos in type b statistical cosine s c k"
-)
-
-# Channels that columns of values may have for their whole name.
-COLOURS = ("R", "G", "B")
-
-# Wavelengths in nm that a column may be named by without a unit.
-MIN_NM, MAX_NM = 150, 20_000
-
-# A number that may be a wavelength, and one that values are multiplied with.
-WITH_UNIT = re.compile(
-    r"(?<![\w.])([0-9]+(?:\.[0-9]+)?)\s*(nm|um|µm|μm)?(?![\w.])", re.IGNORECASE
-)
-TIMES = re.compile(r"[*x·×⋅]\s*\d|\d\s*[*x·×⋅](?!\w)", re.IGNORECASE)
-
-# Words of values that are something of a quantity, and not the quantity itself; and
-# the like in signs, where cosines and units are none.
-CHANGING_WORDS = _listed(
-    "log lg ln db decibel decibels sqrt root square squared inverse reciprocal ratio "
-    "difference residual relative rel normalised normalized scaled arb arbitrary au "
-    "counts msr flag index delta number n"
-)
-COSINE = re.compile(r"[*x·×⋅]\s*\(?cos\w*.*$|^\s*cos\w*\s*[*x·×⋅]", re.IGNORECASE)
-STERADIANS = re.compile(
-    r"(1\s*)?/\s*sr\b|\bsr\s*(\^|\*\*)?[{(]?[-−⁻][1¹][})]?", re.IGNORECASE
-)
-CHANGING_SIGNS = re.compile(
-    r"[*^×·⋅]|\b(db\b|[munk]sr)|(?<!\w)1e-?\d|(?<![\d.])10+(?![\d.])"
-    r"|^\s*[-−]|/\s*\d|(?<![\w.])1\s*/|(b[rst]df|brf)\s*/|/\s*(b[rst]df|brf)",
+# A unit at the end of a name without brackets; 1 and m are none there.
+AT_END = re.compile(
+    r"^(.*?)(?:\s*/\s*\(?|[ _,]+(?:in )?)("
+    + "|".join(re.escape(one) for one in sorted(UNIT_OF, key=len)[::-1] if one[1:])
+    + r"|%|°)\)?\s*$",
     re.IGNORECASE,
 )
 
-# Uncertainties that are divided by the values; angles in units that are no words, as
-# arc minutes, or that are numbers themselves.
-PER_VALUE = re.compile(r"/\s*(b[rst]df|h?c?brf|hcrf|values?|f_?[rt])\b", re.IGNORECASE)
-NO_ANGLE = re.compile(r"[\d'\"\u2032\u2033=*×^]")
+# Words of one meaning, and what is written for several words.
+WORDS = {
+    "theta": "polar zenith zen z",
+    "phi": "azimuth azimuths azimuthal azi az a",
+    "i": "in inc incident incidence incoming illumination input illuminating source "
+    "src sun solar light lighting",
+    "o": "out r s v view viewing exit exitant outgoing measure measured measurement "
+    "detector receiver scatter scattered scattering reflected observation observer "
+    "sensor emergent output receive detection det t transmitted transmission",
+    "rel": "relative delta d difference diff fractional",
+    "lambda": "wavelength wavelengths wl wvl",
+    "value": "values bsdf",
+    "cos": "cosine",
+    "u": "sigma uncertainty uncertainties uncert unc std stdev error err sd uc "
+    "expanded stddev deviation",
+    "abs": "absolute",
+    "angle": "angles",
+    "": "of the direction deg degrees",
+    "beside": "standard combined total random dev type b statistical c k f percent pct "
+    "reflectance factor radiance mean average averaged panel bidirectional",
+}
+MEANING = {word: one for one, words in WORDS.items() for word in words.split()}
+WRITTEN = {
+    "±": "u", "σ": "u", "θ": "theta", "ϑ": "theta", "φ": "phi", "ϕ": "phi",
+    "λ": "lambda", "Δ": "rel",
+}  # fmt: skip
+SHORT = {
+    "sza": "theta i", "aoi": "theta i", "saa": "phi i", "vza": "theta o",
+    "vaa": "phi o", "raa": "phi rel", "dphi": "phi rel", "rsd": "u rel",
+    "ccbrdf": "brdf cos", "hcrf": "brf",
+}  # fmt: skip
+PHRASES = (
+    # two words in one, plurals, numbers of samples
+    (r"([a-z])([A-Z])", r"\1 \2"),
+    (r"(?i)\b(theta|phi)s(?=[ _]\w)", r"\1"),
+    (r"(?i)(?<![a-z])(theta|phi)(?=[a-z])", r"\1 "),
+    (r"(?i)(?<![a-z])(?:sample|specimen)[ _#]*[0-9]*(?![a-z0-9])", " "),
+    # uncertainties over values, factors, Nicodemus's symbols, hyphens
+    (r"(?i)/\s*(?=(?:b[rst]df|h?c?brf|hcrf|values?|f_?[rt])\b)", " rel "),
+    (r"(?i)(?:reflectance|radiance)[ _]factors?", " brf "),
+    (r"(?i)(?<![a-z])f[_ ]?r(?![a-z])", " brdf "),
+    (r"(?i)(?<![a-z])f[_ ]?t(?![a-z])", " btdf "),
+    (r"(?<=\w)\s*[-–]\s*(?=[A-Za-z])", " "),
+)
+ROLE_OF = {
+    "i theta": "theta_i", "i phi": "phi_i", "o theta": "theta_o", "o phi": "phi_o",
+    "phi rel": "delta_phi", "i o phi": "delta_phi", "lambda": "wavelength",
+}  # fmt: skip
+QUANTITY_OF = {"brdf": "brdf", "btdf": "btdf", "brf": "reflectance_factor"}
+IN_VALUES = {"value", "beside", *QUANTITY_OF}
+IN_COSINES = {"cos", "theta", "o", "*", "x", "·"}
+IN_SIGMAS = IN_VALUES | {"u", "rel", "abs", "cos", "o"}
 
-# Coverage of uncertainties: a factor k, so many sigma, or a level in per cent, which
-# may stand behind U; and a factor behind.
-NUMBER = r"([0-9]+(?:[.,][0-9]+)?)"
+# Wavelengths in nm that a column may be named by.
+MIN_NM, MAX_NM = 150, 20_000
+WAVELENGTH = re.compile(
+    r"(?<![\w.])([0-9]+(?:\.[0-9]+)?)\s*(nm|um|µm|μm)?(?![\w.])", re.IGNORECASE
+)
+
+# Coverage of uncertainties: a level in per cent, also behind U; k or so many sigma.
+NUMBER = r"([0-9]+(?:[.,][0-9]+)?)(?![.,]?[0-9])"
+LEVELS = r"((?:68|95|99)(?:[.,][0-9]+)?)"
 FACTOR = re.compile(
-    r"(?<![^\W_])k[\s_]*[=:]?[\s_]*([0-9.]+(?:,[0-9]+)?)", re.IGNORECASE
+    rf"(?<![^\W_])k[\s_]*[=:]?[\s_]*{NUMBER}|[*x·×⋅]\s*{NUMBER}(?=\s*(?:[\[(]|$))"
+    rf"|(?<![\w.,]){NUMBER}[\s*x·×⋅-]*(?=(?:σ|sigma|std|stdev|stddev|sd|u)(?![^\W_]))",
+    re.IGNORECASE,
 )
-SIGMAS = re.compile(
-    rf"(?<![\w.,]){NUMBER}[\s*x·×⋅-]*(?:σ|(?i:sigma|std|stdev|stddev|sd)|u)(?![^\W_])"
-)
-LEVEL = re.compile(r"(?<![\w.,])((?:68|95|99)(?:[.,][0-9]+)?)\s*%")
-EXPANDED = re.compile(
-    r"(?<![^\W_])[Uu][\s_]?((?:68|95|99)(?:[.,][0-9]+)?)\s*%?(?![\w.])"
-)
-BEHIND = re.compile(rf"[*x·×⋅]\s*{NUMBER}\s*$")
-
-# Levels that stand for one sigma and three.
+EXPANDED = re.compile(rf"(?<![^\W_])[Uu][\s_]?{LEVELS}\s*(%?)(?![\w.])")
+LEVEL = re.compile(rf"(?<![\w.,]){LEVELS}\s*(%)")
 SIGMAS_OF_LEVEL = {68.0: 1.0, 99.7: 3.0}
 
 
 @dataclass(frozen=True)
 class Column:
     """What a column of a table holds.
-
-    One whose name says that it holds a multiple or a logarithm of a quantity, as
-    :data:`CHANGING_WORDS` and :data:`CHANGING_SIGNS` tell, is none of these.
 
     Attributes
     ----------
@@ -152,7 +137,7 @@ class Column:
         number in the name leaves it open.
     kind : str
         Of uncertainties ``"rel"``, relative to the values, or ``"abs"``; empty if the
-        name has neither.
+        name has neither; ``"?"`` if its % may be that of a level.
     """
 
     name: str
@@ -165,40 +150,30 @@ class Column:
 
 
 def recognised(name: str) -> Column | None:
-    """Return what a column of this name holds, or None if nothing is known of it."""
-    bare, coverage = _without_coverage(name)
-    text, unit = _without_unit(bare)
+    """Return what a column of this name holds, or None if a word in it is unknown."""
+    text, coverage, level = _without_coverage(name)
+    text, channel = _without_wavelength(text)
+    text, unit = _without_unit(text)
     words = _words(text)
-    role = _angle(words)
+    role = ROLE_OF.get(" ".join(sorted(words)))
     if role:
-        return None if NO_ANGLE.search(text) else Column(name, role, unit)
-    if words and set(words) <= WAVELENGTH:
-        return Column(name, "wavelength", unit)
-    length = unit in ("nm", "um")
-    text, channel = _without_wavelength(bare if length else text)
-    words = _words(text)
-    if length:
-        unit = ""
-    if not unit and set(words) & {"percent", "pct"}:
-        unit = "%"
-    if set(words) & UNCERTAIN:
-        if set(words) - UNCERTAIN - VALUES - OTHER_WORDS:
-            return None  # of an angle, a wavelength, a temperature
-        if not coverage:
-            expanded = "expanded" in words or "U" in re.findall(r"\w+", name)
-            coverage = _coverage_left(text) or (2.0 if expanded else 1.0)
-        kind = "abs" if set(words) & ABSOLUTE_WORDS else ""
-        if set(words) & RELATIVE_WORDS or PER_VALUE.search(text):
-            kind = "rel"
-        if unit in ("1/sr", "%/sr"):
-            kind = "abs"
+        return None if channel or coverage else Column(name, role, unit)
+    unit = unit or ("%" if re.search(r"(?i)percent|pct", text) else "")
+    numbers = {word for word in words if word[0].isdigit()}
+    if "u" in words and words - numbers <= IN_SIGMAS:
+        expanded = re.search(r"(?i:expanded)|\bU(?![^\W_])", name)
+        coverage = coverage or (math.nan if numbers else 2.0 if expanded else 1.0)
+        kind = "abs" if "abs" in words or unit in ("1/sr", "1/msr", "%/sr") else level
+        kind = "rel" if "rel" in words else kind
         return Column(name, "sigma", unit, "", channel, coverage, kind)
-    if _is_changed(text, words) or unit not in ("", "1/sr", "%", "%/sr", "1"):
+    quantities = words & {*QUANTITY_OF}
+    cosine = "cos" in words and "brdf" in words
+    known = words <= IN_VALUES | (IN_COSINES if cosine else set())
+    if coverage or not known or len(quantities) > 1 or unit not in VALUE_UNITS:
         return None
-    quantity = _quantity(words)
-    if quantity or set(words) & VALUES or (channel and not words):
-        unit = "" if channel and unit == "1/sr" else unit
-        return Column(name, "value", unit, quantity, channel)
+    if quantities or "value" in words or (channel and not words):
+        quantity = QUANTITY_OF[min(quantities)] if quantities else ""
+        return Column(name, "value", unit, f"{quantity}{'_cos' * cosine}", channel)
     return None
 
 
@@ -217,33 +192,27 @@ def unit_of(name: str) -> str:
     return _without_unit(_without_coverage(name)[0])[1]
 
 
-def _without_coverage(name: str) -> tuple[str, float]:
-    """Name without its coverage factor, and the factor; 0 if there is none."""
+def _without_coverage(name: str) -> tuple[str, float, str]:
+    """Name without its coverage factor, the factor or 0, and "?" beside an unclear %.
+
+    The % of a level in brackets, as in "uncertainty (95 %)", is no unit.
+    """
     text = " ".join(name.replace("\ufeff", "").split())
-    for pattern in (FACTOR, EXPANDED, LEVEL, SIGMAS):
+    coverage, unclear = 0.0, ""
+    for pattern, rest in ((FACTOR, " "), (EXPANDED, " U "), (LEVEL, " ")):
         match = pattern.search(text)
         if match:
-            rest = f"{text[: match.start()]}{text[match.end() :]}"
-            if pattern in (EXPANDED, SIGMAS):  # these words mark an uncertainty, too
-                rest += " sigma"
-            try:
-                number = float(match[1].replace(",", "."))
-            except ValueError:
-                number = 1.0
-            if pattern in (EXPANDED, LEVEL):
+            before, after = text[: match.start()], text[match.end() :]
+            number = float(next(filter(None, match.groups())).replace(",", "."))
+            if pattern is not FACTOR:
                 sigmas = round(float(special.ndtri((1 + number / 100) / 2)), 3)
-                return rest, SIGMAS_OF_LEVEL.get(number, sigmas)
-            return rest, number or 1.0
-    return text, 0.0
-
-
-def _coverage_left(text: str) -> float:
-    """Factor behind a name without its unit; NaN for other numbers, 0 if none is."""
-    behind = BEHIND.search(text)
-    if behind:
-        return float(behind[1].replace(",", ".")) or math.nan
-    numbers = [float(number) for number in re.findall(r"[0-9]+(?:\.[0-9]+)?", text)]
-    return 0.0 if all(MIN_NM <= one <= MAX_NM for one in numbers) else math.nan
+                number = SIGMAS_OF_LEVEL.get(number, sigmas)
+                if match[2] and not re.search(r"[\[(]", before):
+                    rest, unclear = f"{rest}%", "?"
+            text, coverage = f"{before}{rest}{after}", coverage or number or 1.0
+            if unclear:
+                break
+    return text, coverage, unclear
 
 
 def _without_unit(text: str) -> tuple[str, str]:
@@ -252,17 +221,13 @@ def _without_unit(text: str) -> tuple[str, str]:
     for group in re.findall(r"[\[(][^\[\]()]*(?:\([^()]*\)[^\[\]()]*)?[\])]", text):
         parts = [_unit(part) for part in re.split("[,;]", group[1:-1]) if part.strip()]
         if all(parts):
-            text = text.replace(group, " ", 1)
+            text = text.replace(group, " ", 1).rstrip()
             found = found or "".join(parts[:1])
-    for pattern in (
-        r"^(.*?)\s*/\s*\(?(1/sr|[^/()]+?)\)?\s*$",
-        r"^(.+?)[ _,]+(deg|degrees?|rad|radians?|nm|percent|%|°|%/sr)\s*$",
-    ):
-        match = re.match(pattern, text, re.IGNORECASE)
-        if not found and match and _unit(match[2]):
-            text, found = match[1], _unit(match[2])
+    match = None if found else AT_END.match(text)
+    if match:
+        return match[1], _unit(match[2])
     if not found and "%" in text:
-        text, found = text.replace("%", " "), "%"
+        return text.replace("%", " "), "%"
     return text, found
 
 
@@ -271,71 +236,26 @@ def _unit(text: str) -> str:
     return UNIT_OF.get(text.replace(" ", "").lower(), "")
 
 
-def _words(text: str) -> list[str]:
-    """Words of a name in small letters, without those that only fill it."""
-    for letter, word in GREEK.items():
-        text = text.replace(letter, word)
-    text = re.sub(r"([a-z])([A-Z])", r"\1 \2", text).lower()
-    words: list[str] = []
-    for word in re.findall(r"[a-z]+", text):
-        split = re.fullmatch(r"(theta|phi)([a-z]+)", word)
-        words += split.groups() if split else [word]
-    if len(words) > 1 or words[:1] != ["angle"]:
-        angle = "angle" in words or "angles" in words
-        words = [w for w in words if w not in FILLING]
-        # "incident angle" is a polar angle
-        if angle and not set(words) & (POLAR | AZIMUTH | RELATIVE):
-            words.append("theta")
-    return words
-
-
-def _angle(words: Sequence[str]) -> str:
-    """Role of an angle, or nothing."""
-    if len(words) == 1 and words[0] in ABBREVIATED:
-        return ABBREVIATED[words[0]]
-    kinds = [w for w in words if w in POLAR | AZIMUTH]
-    # the letters a and z are angles beside a side only
-    rest = [w for w in words if w not in POLAR | AZIMUTH]
-    sides = [w for w in rest if w in INCOMING | OUTGOING]
-    relative = [w for w in rest if w in RELATIVE]
-    if kinds in (["phi"] * 2, ["azimuth"] * 2) and len(rest) == len(sides) == 2:
-        return "delta_phi"
-    if len(kinds) != 1 or len(sides) + len(relative) != len(rest):
-        return ""
-    azimuth = kinds[0] in AZIMUTH
-    if relative:
-        return "delta_phi" if azimuth else ""
-    if len(sides) != 1:
-        return ""
-    stem = "phi" if azimuth else "theta"
-    return f"{stem}_{'i' if sides[0] in INCOMING else 'o'}"
+def _words(text: str) -> frozenset[str]:
+    """Meanings of the words of a name, and its signs and unknown words as they are."""
+    for letter, name in WRITTEN.items():
+        text = text.replace(letter, f" {name} ")
+    for pattern, phrase in PHRASES:
+        text = re.sub(pattern, phrase, text)
+    found = re.findall(r"[^\W\d_]+|[0-9][0-9.]*|[^\w\s.,;:=@()\[\]{}]", text.lower())
+    found = " ".join(SHORT.get(word, word) for word in found).split()
+    words = {MEANING.get(word, word) for word in found} - {""}
+    if "angle" in words:  # "incident angle" is a polar angle
+        words = words - {"angle"} | (set() if words & {"theta", "phi"} else {"theta"})
+    return frozenset(words)
 
 
 def _without_wavelength(text: str) -> tuple[str, str]:
     """Name without a wavelength in it, and its channel such as ``"550nm"``."""
     spaced = text.replace("_", " ")
-    for match in WITH_UNIT.finditer(spaced):
+    for match in WAVELENGTH.finditer(spaced):
         nm = float(match[1]) * (1 if (match[2] or "nm").lower() == "nm" else 1000)
-        before, after = spaced[: match.start()], spaced[match.end() :]
-        multiple = TIMES.search(f"{before[-3:]}0{after[:3]}")
-        if MIN_NM <= nm <= MAX_NM and not multiple:
-            return f"{before} {after}", f"{nm:.10g}nm"
+        if MIN_NM <= nm <= MAX_NM:
+            rest = f"{spaced[: match.start()]} {spaced[match.end() :]}"
+            return rest, f"{nm:.10g}nm"
     return text, ""
-
-
-def _is_changed(text: str, words: Sequence[str]) -> bool:
-    """Whether a name is that of values times a number, their logarithm or the like."""
-    bare = STERADIANS.sub(" ", COSINE.sub(" ", text))
-    changed = CHANGING_SIGNS.search(bare) or TIMES.search(bare)
-    return bool(CHANGING_WORDS & set(words) or changed)
-
-
-def _quantity(words: Sequence[str]) -> str:
-    """Quantity that a name of values says, or nothing."""
-    if "factor" in words and {"reflectance", "radiance"} & set(words):
-        return "reflectance_factor"
-    for word in words:
-        if word in QUANTITY_OF:
-            cosine = QUANTITY_OF[word] == "brdf" and {"cos", "cosine"} & set(words)
-            return "brdf_cos" if cosine else QUANTITY_OF[word]
-    return SYMBOLS.get("".join(words), "")

@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from ...array_types import Flags, Floats
+from ...array_types import Flags
 from ...errors import (
     FileFormatError,
     SettingError,
     abridged,
     check_nothing_open,
     checked_choice,
+    checked_number,
     number_of,
     shown,
 )
@@ -35,15 +36,15 @@ from .angles import (
     in_degrees,
     unit_questions,
 )
-from .names import ANGLES, COLOURS, ROLES, Column, coverage_of, recognised, unit_of
+from .names import ANGLES, ROLES, Column, coverage_of, recognised, unit_of
 from .text import TextTable, split_text
 
-OWN_NAMES = (*COLUMNS, "sigma")
-
-# Those of Mueller matrices in our own tables, which are compared by their light alone.
-ELEMENT_COLUMN = re.compile(r"(sigma_)?M[0-3][0-3]")
-NM = {"nm": 1.0, "um": 1e3, "m": 1e9}
+NM = {"": 1.0, "nm": 1.0, "um": 1e3, "m": 1e9}
 KINDS = {"rel": "relative", "abs": "absolute"}
+PARTS = {"%": 0.01, "%/sr": 0.01, "1/msr": 1e3}
+
+# Channels that columns of values may have for their whole name.
+COLOURS = ("R", "G", "B")
 
 # What stands for no value, in cells, and in columns of angles and uncertainties.
 MISSING = re.compile(r"|nan|--?|n/?a|null|-9{2,}(\.[09]*)?", re.IGNORECASE)
@@ -55,8 +56,10 @@ WAVELENGTH_ROUNDING = 1e-6
 # Wavelengths below this without a unit are micrometres: no light has so few nm.
 MIN_NM = 20
 
-# A coverage factor in a title, and names of columns that hold one.
-FACTOR = re.compile(r"(?<!\w)k\s*[=:]\s*([0-9]+(?:[.,][0-9]+)?)", re.IGNORECASE)
+# Degrees from 90 within which a direction is the horizon: that of 1.5708 rad is.
+HORIZON = 1e-3
+
+# Names of columns that hold a coverage factor.
 FACTOR_NAMES = ("k", "k factor", "coverage factor")
 
 # What titles and names of files call the quantities.
@@ -65,6 +68,15 @@ QUANTITY_PATTERNS = (
     (r"\b(cosine.corrected BRDF|CCBRDF|BRDF ?[*x] ?cos)", "brdf_cos"),
     (r"\bBTDF\b", "btdf"),
     (r"\bBRDF\b", "brdf"),
+)
+
+# A line on the reflectance of the reference panel: a fraction, or per cent.
+PANEL = re.compile(
+    r"(?:\b(?:panel|reference|tile|plaque)\b.*\breflectance"
+    r"|\breflectance\b.*\b(?:panel|reference|tile|plaque))\b.*?"
+    r"(?<![\w.,])(0?[.,][0-9]+|1(?:[.,][0-9]+)?|[0-9]{1,2}(?:[.,][0-9]+)?(?=\s*%))"
+    r"(?![\w.,]*[0-9])\s*(%?)",
+    re.IGNORECASE,
 )
 
 
@@ -78,17 +90,24 @@ class Specified:
     columns : mapping
         Name of the column for a role, with a suffix such as ``:deg`` if its name has no
         unit, or a number in its place.
+    panel_reflectance : float, optional
     """
 
     channel: str | None = None
     quantity: str | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
     azimuth: str | None = None
+    panel_reflectance: float | None = None
 
     def __post_init__(self) -> None:
         for name, choices in (("quantity", QUANTITIES), ("azimuth", AZIMUTHS)):
             if getattr(self, name) is not None:
                 checked_choice(name, getattr(self, name), choices)
+        panel, condition = self.panel_reflectance, "a number above 0, at most 2"
+        if panel is not None and not checked_number(
+            "panel_reflectance", panel, 0, 2, condition
+        ):
+            raise SettingError(f"panel_reflectance must be {condition}, got {panel}")
 
 
 def read_text(path: str | PathLike[str], specified: Specified) -> MeasuredTable:
@@ -100,83 +119,68 @@ def read_text(path: str | PathLike[str], specified: Specified) -> MeasuredTable:
         return recognised(name) is not None or name.strip().lower() in names
 
     text = split_text(path, known, ", ".join(COLUMNS))
-    settings, header = parsed_keys(text.place, text.comments)
-    if specified.quantity is not None:
-        settings["quantity"] = specified.quantity
-    reading = _Reading(text, specified, settings)
-    reading.read_columns()
-    arrays, picked, notes = reading.arrays, reading.picked, reading.notes
-    if not (reading.own and settings):  # below our own header they are in degrees
-        reading.questions += unit_questions(arrays, picked)
-    settings["quantity"] = reading.quantity()
-    values = reading.values()
-    angles, more_notes, more_questions = directions(
-        arrays | in_degrees(arrays, picked), specified.azimuth
-    )
-    check_nothing_open(text.place, reading.questions + more_questions)
-    notes += more_notes
-    if reading.own:
-        reading.check_ranges(values | angles, settings["quantity"])
-    elif settings["quantity"] == "btdf" and (angles["theta_o"] <= 90).all():
-        angles["theta_o"] = 180 - angles["theta_o"]
-        notes.append("theta_o of transmission counts from the normal of the other face")
-    if reading.channel is not None:
-        settings.setdefault("channel", reading.channel)
-    try:
-        return MeasuredTable(
-            **values,
-            **angles,
-            **settings,
-            header=header,
-            name=text.place,
-            notes=tuple(notes),
-        )
-    except ValueError as error:
-        raise FileFormatError(f"{text.place}: {error}") from None
+    return _Reading(text, specified).table()
 
 
 class _Reading:
-    """A text that is being read: notes on what is understood, questions on what is not.
+    """A text that is being read: notes on what is understood, questions on the rest."""
 
-    Parameters
-    ----------
-    text : TextTable
-    specified : Specified
-    settings : dict
-        Those of the header, and the quantity if it is specified.
-    """
-
-    def __init__(
-        self, text: TextTable, specified: Specified, settings: dict[str, Any]
-    ) -> None:
-        self.text, self.place, self.settings = text, text.place, settings
-        self.specified = specified
-        self.here = f"{text.place}, line {text.number}"
+    def __init__(self, text: TextTable, specified: Specified) -> None:
+        self.text, self.place, self.specified = text, text.place, specified
+        self.settings, self.header = parsed_keys(text.place, text.comments)
+        if specified.quantity is not None:
+            self.settings["quantity"] = specified.quantity
         self.notes: list[str] = []
         self.questions: list[str] = []
         self.channel: str | None = None
         self.constants: dict[str, float] = {}
-        # our own names: all five, nothing beside them
+        lines = (*text.titles, *text.comments)
+        self.titles = [line.replace("_", " ") for _, line in lines]
+        # our own names: without a quantity it is the BRDF
         self.own = set(text.names) >= set(COLUMNS) and not specified.columns
-        self.known = [
-            None if self.own and ELEMENT_COLUMN.fullmatch(name) else recognised(name)
-            for name in text.names
-        ]
+        self.known = [recognised(name) for name in text.names]
         bare = [name.partition(" [")[0] for name in text.names]
         for colour in COLOURS if set(bare) >= set(COLOURS) else ():
-            index = bare.index(colour)
-            name = text.names[index]
-            self.known[index] = Column(name, "value", unit_of(name), channel=colour)
+            name = text.names[bare.index(colour)]
+            column = Column(name, "value", unit_of(name), channel=colour)
+            self.known[bare.index(colour)] = column
         for role, word in specified.columns.items():
             self._assign(role, str(word))
-        for name in text.names if self.own else ():
-            if name not in OWN_NAMES and not ELEMENT_COLUMN.fullmatch(name):
-                raise FileFormatError(
-                    f"{self.here}: a column must be one of {', '.join(OWN_NAMES)}, got "
-                    f"{shown(name)}"
-                )
-            if text.names.count(name) > 1:
-                raise FileFormatError(f"{self.here}: the column {name} must occur once")
+
+    def table(self) -> MeasuredTable:
+        """The table, unless a question is open."""
+        self._pick_columns()
+        self._read_numbers()
+        if not (self.own and self.settings):  # below our own header they are in degrees
+            self.questions += unit_questions(self.arrays, self.picked)
+        quantity = self.settings["quantity"] = self._quantity()
+        columns = self._values(quantity)
+        angles, notes, questions = directions(
+            self.arrays | in_degrees(self.arrays, self.picked), self.specified.azimuth
+        )
+        check_nothing_open(self.place, self.questions + questions)
+        self.notes += notes
+        if not self.own and quantity == "btdf" and (angles["theta_o"] <= 90).all():
+            angles["theta_o"] = 180 - angles["theta_o"]
+            self.notes.append(
+                "theta_o of transmission counts from the normal of the other face"
+            )
+        columns = self._above_the_horizon(columns | angles)
+        self._check_ranges(columns, quantity)
+        if self.channel is not None:
+            self.settings.setdefault("channel", self.channel)
+        try:
+            return MeasuredTable(
+                **columns,
+                **self.settings,
+                header=self.header,
+                name=self.place,
+                notes=tuple(self.notes),
+            )
+        except ValueError as error:
+            raise FileFormatError(f"{self.place}: {error}") from None
+
+    # ------------------------------------------------------------------------- columns
 
     def _assign(self, role: str, word: str) -> None:
         """Take a column, or a number, for the role that the user specifies."""
@@ -197,15 +201,17 @@ class _Reading:
             index = names.index(name.strip().lower())
             own = self.text.names[index]
             column = recognised(own) or Column(own, role, unit_of(own))
+            if column.kind == "?" and suffix == "abs":  # its % is that of a level
+                column = replace(column, unit="")
             self.known[index] = replace(
                 column,
                 role=role,
-                unit=suffix if suffix in ("deg", "rad") else column.unit,
+                unit=suffix if suffix in DEGREES and suffix else column.unit,
                 kind=suffix if suffix in KINDS else column.kind,
                 # a specified sigma is a standard uncertainty unless its name says k
                 coverage=1.0 if np.isnan(column.coverage) else column.coverage,
             )
-        elif is_decimal(name):
+        elif is_decimal(name) and role != "value":
             self.constants[role] = decimal(name) * DEGREES.get(suffix, 1.0)
         else:
             raise SettingError(
@@ -213,58 +219,21 @@ class _Reading:
                 f"({abridged(', '.join(self.text.names), 120)}), got {shown(name)}"
             )
 
-    # ------------------------------------------------------------------------- columns
-
-    def read_columns(self) -> None:
-        """Read the numbers of the one column of each role, `picked`, into `arrays`."""
+    def _pick_columns(self) -> None:
+        """Find the one column of each role, `picked`, or ask."""
         by_role: dict[str, list[Column]] = {}
         for column in self.known:
             if column is not None and column.role not in self.constants:
                 by_role.setdefault(column.role, []).append(column)
         self._pick_channel(by_role)
         self._check_clear(by_role)
-        if "value" in self.constants:
-            raise SettingError(f"columns must name a column of values of {self.place}")
         self.picked = {role: columns[0] for role, columns in by_role.items() if columns}
-        for role in ANGLES:
-            if role in self.picked and self.picked[role].unit not in DEGREES:
+        for role in (role for role in ANGLES if role in self.picked):
+            if self.picked[role].unit not in DEGREES:
                 name = shown(self.picked[role].name.strip(), 60)
                 raise FileFormatError(
                     f"{self.place}: the angle {role} must be in deg or rad, got {name}"
                 )
-        self.arrays = self._numbers()
-        n = len(self.arrays["value"])
-        for role, value in self.constants.items():
-            self.arrays[role] = np.full(n, value)
-        self._leave_out_missing()
-        if "wavelength" in self.arrays:
-            self._pick_wavelength()
-        if not self.own:
-            self._note_columns()
-
-    def _check_clear(self, by_role: Mapping[str, Sequence[Column]]) -> None:
-        """Raise OpenQuestionsError unless each role has one column, and none lacks."""
-        unclear = [
-            f"several columns may be {role} "
-            f"({', '.join(repr(c.name) for c in columns):.150}); say --columns "
-            f"{role}=NAME"
-            for role, columns in by_role.items()
-            if len(columns) > 1
-        ]
-        own = {column.role for column in self.known if column} - set(self.constants)
-        unclear += self._missing(own)
-        if not unclear:
-            return
-        values = [column for column in self.known if column and column.role == "value"]
-        titled = any(column.quantity for column in values) or self._titled()
-        if not (self.settings.get("quantity") or self.own or titled):
-            unclear.append(_quantity_question())
-        there = own | set(self.constants)
-        # azimuths of exit without those of incidence
-        relative = "delta_phi" in there or ("phi_o" in there and "phi_i" not in there)
-        if relative and self.specified.azimuth is None:
-            unclear.append(azimuth_question("azimuths"))
-        check_nothing_open(self.here, self.questions + unclear)
 
     def _pick_channel(self, by_role: dict[str, list[Column]]) -> None:
         """Keep the values of one channel, the first beside a question if none is."""
@@ -290,79 +259,81 @@ class _Reading:
             own = ("", self.channel)
             by_role["sigma"] = [c for c in by_role["sigma"] if c.channel in own]
 
-    def _missing(self, own: set[str]) -> list[str]:
-        """Question about required columns that are missing among the `own` roles."""
-        there = own | set(self.constants)
-        needed = ["theta_i", "theta_o", "value", *(["phi_o"] if "phi_i" in own else [])]
-        if "delta_phi" in there:
-            there.add("phi_o")
-        lacks = [role for role in needed if role not in there]
-        if not lacks:
-            return []
-        what = f"the column {lacks[0]} is missing; if another name stands for it"
-        if len(lacks) > 1:
-            names = f"{', '.join(lacks[:-1])} and {lacks[-1]}"
-            what = f"the columns {names} are missing; if other names stand for them"
-        other = [n.strip() for n, c in zip(self.text.names, self.known) if n and not c]
-        seen = f" ({abridged(', '.join(map(repr, other)), 80)})" if other else ""
-        options = " ".join(f"{role}=NAME" for role in lacks)
-        question = f"{what}{seen}, say --columns {options}"
-        if lacks[0] == "theta_i":
-            question += ", or a number for all rows, such as theta_i=30"
-        return [question]
+    def _check_clear(self, by_role: Mapping[str, Sequence[Column]]) -> None:
+        """Ask for the columns that lack, or of which there are several."""
+        there = {column.role for column in self.known if column} | set(self.constants)
+        azimuth = "phi_i" in by_role and "delta_phi" not in there
+        needed = ["theta_i", "theta_o", "value", *["phi_o"] * azimuth]
+        unclear = [role for role in needed if role not in there]
+        unclear += [role for role, columns in by_role.items() if len(columns) > 1]
+        if not unclear:
+            return
+        names = [n.strip() for n, c in zip(self.text.names, self.known) if n and not c]
+        names += [c.name for role in unclear for c in by_role.get(role, ())]
+        seen = f" (it has {abridged(', '.join(map(repr, names)), 80)})" if names else ""
+        options = " ".join(f"{role}=NAME" for role in unclear)
+        number = ", or a number, such as theta_i=30" if "theta_i" in unclear else ""
+        questions = [
+            f"one column must be {', one '.join(unclear)}{seen}: say --columns "
+            f"{options}{number}"
+        ]
+        if not self.own and not self._stated_quantity():
+            questions.append(_quantity_question())
+        # azimuths of exit without those of incidence
+        relative = "delta_phi" in there or there & {"phi_i", "phi_o"} == {"phi_o"}
+        if relative and self.specified.azimuth is None:
+            questions.append(azimuth_question("azimuths"))
+        here = f"{self.place}, line {self.text.number}"
+        check_nothing_open(here, self.questions + questions)
 
-    def _numbers(self) -> dict[str, Floats]:
-        """Numbers of the picked columns, in the rows with a value."""
-        places = {
-            role: self.text.names.index(column.name)
-            for role, column in self.picked.items()
-        }
-        self.lines: list[int] = []
-        kept: list[list[str]] = []
-        missing: list[str] = []
-        for number, cells in self.text.cells():
-            cell = cells[places["value"]].strip()
-            if MISSING.fullmatch(cell):
-                missing.append(cell)
-                continue
-            self.lines.append(number)
-            kept.append(cells)
-        rows = [[cells[index] for index in places.values()] for cells in kept]
+    # ------------------------------------------------------------------------- numbers
+
+    def _read_numbers(self) -> None:
+        """Read the picked columns into `arrays`, and rows' numbers into `lines`."""
+        places = [self.text.names.index(c.name) for c in self.picked.values()]
+        value = self.text.names.index(self.picked["value"].name)
+        cells = [(n, row, row[value].strip()) for n, row in self.text.cells()]
+        missing = [cell for *_, cell in cells if MISSING.fullmatch(cell)]
+        kept = [(n, row) for n, row, cell in cells if not MISSING.fullmatch(cell)]
+        if not kept:
+            raise FileFormatError(f"{self.place} has no row with a value")
+        self.lines = np.array([n for n, _ in kept])
+        rows = [[row[place] for place in places] for _, row in kept]
         numbers: Any = decimals([cell for row in rows for cell in row])
         if numbers is None or not np.all(np.isfinite(numbers)):
-            numbers = [self._row(number, row) for number, row in zip(self.lines, rows)]
-        if not self.lines:
-            raise FileFormatError(f"{self.place} has no row with a value")
-        if missing:
-            codes = ", ".join(sorted({one for one in missing if one.startswith("-9")}))
-            why = f": {codes} stands for none" if codes else ""
-            rows_left_out = number_of(len(missing), "row")
-            self.notes.append(f"{rows_left_out} without a value left out{why}")
-        columns = np.reshape(numbers, (-1, len(places))).T
-        return {role: column.copy() for role, column in zip(places, columns)}
+            numbers = [
+                self._number(line, column, cell)
+                for line, row in zip(self.lines, rows)
+                for column, cell in zip(self.picked.values(), row)
+            ]
+        self._note_left_out(len(missing), "a value", set(missing))
+        table = np.reshape(numbers, (-1, len(places))).T.copy()
+        self.arrays = dict(zip(self.picked, table))
+        self.arrays |= {r: np.full(len(rows), x) for r, x in self.constants.items()}
+        self._leave_out_missing()
+        if "wavelength" in self.arrays:
+            self._pick_wavelength()
+        self._note_columns()
 
-    def _row(self, number: int, row: Sequence[str]) -> list[float]:
-        """Numbers of a line, or FileFormatError for the first that is not finite."""
-        values = []
-        for (role, column), cell in zip(self.picked.items(), row):
-            where = f"{self.place}, line {number}, column {column.name}"
-            in_degrees = role in ANGLES and column.unit != "rad"
-            text = without_degrees(cell) if in_degrees else cell
-            if not is_decimal(text):
-                raise FileFormatError(f"{where}: must be a number, got {shown(cell)}")
-            if not np.isfinite(value := decimal(text)):
-                raise FileFormatError(
-                    f"{where}: must be a finite number, got {cell.strip()}"
-                )
-            values.append(value)
-        return values
+    def _number(self, line: int, column: Column, cell: str) -> float:
+        """Number in a cell, or FileFormatError if it is none or not finite."""
+        in_degrees = column.role in ANGLES and column.unit != "rad"
+        text = without_degrees(cell) if in_degrees else cell
+        number = decimal(text) if is_decimal(text) else None
+        if number is not None and np.isfinite(number):
+            return number
+        finite, got = ("", shown(cell)) if number is None else ("finite ", cell.strip())
+        raise FileFormatError(
+            f"{self.place}, line {line}, column {column.name}: must be a {finite}number"
+            f", got {got}"
+        )
 
     def _leave_out_missing(self) -> None:
         """Leave out rows with a code for no number, except azimuths at the normal."""
         arrays = self.arrays
         normal = {side: arrays[f"theta_{side}"] % 180 == 0 for side in "io"}
         normal["d"] = normal["i"] | normal["o"]
-        gone, found = np.zeros(len(arrays["value"]), dtype=bool), set()
+        gone, found = np.zeros(len(self.lines), dtype=bool), set()
         for role in set(arrays) - {"value"} - set(self.constants):
             column = arrays[role]
             none = np.isin(column, MISSING_CODES)
@@ -372,22 +343,25 @@ class _Reading:
                 side = "d" if role == "delta_phi" else role[-1]
                 arrays[role] = np.where(none & normal[side], 0.0, column)
                 none &= ~normal[side]
-            found |= set(column[none].tolist())
+            found |= {f"{code:g}" for code in column[none]}
             gone |= none
-        if not gone.any():
-            return
         if gone.all():
             raise FileFormatError(f"{self.place} has no row without a missing number")
-        codes = ", ".join(f"{code:g}" for code in sorted(found))
-        self.notes.append(
-            f"{number_of(np.count_nonzero(gone), 'row')} without another number than "
-            f"the value left out: {codes} stands for none"
-        )
+        n_gone = int(np.count_nonzero(gone))
+        self._note_left_out(n_gone, "another number than the value", found)
         self._keep(~gone)
+
+    def _note_left_out(self, n_rows: int, lacking: str, codes: set[str]) -> None:
+        """Note how many rows are left out, and which codes stand for no number."""
+        listed = ", ".join(sorted(one for one in codes if one.startswith("-9")))
+        why = f": {listed} stands for none" if listed else ""
+        if n_rows:
+            rows = number_of(n_rows, "row")
+            self.notes.append(f"{rows} without {lacking} left out{why}")
 
     def _keep(self, rows: Flags) -> None:
         """Keep some rows."""
-        self.lines = [line for line, kept in zip(self.lines, rows) if kept]
+        self.lines = self.lines[rows]
         self.arrays = {role: column[rows] for role, column in self.arrays.items()}
 
     def _pick_wavelength(self) -> None:
@@ -406,112 +380,146 @@ class _Reading:
         self._keep(np.abs(nm - names[self.channel]) <= WAVELENGTH_ROUNDING)
 
     def _note_columns(self) -> None:
-        """Note what the names were taken for."""
+        """Note what the names were taken for, unless they are our own."""
         columns = []
         for role, column in self.picked.items():
             unit = f" in {column.unit or 'deg'}" if role in ANGLES else ""
             columns.append(f"{role} is {column.name.strip()!r}{unit}")
         columns += [f"{role} is {value:g}" for role, value in self.constants.items()]
-        self.notes.insert(0, f"columns: {', '.join(columns)}")
-        used = {column.name for column in self.picked.values()} | {""}
-        unused = [
-            repr(n) for n in self.text.names if n not in used and not recognised(n)
-        ]
+        if not self.own:
+            self.notes.insert(0, f"columns: {', '.join(columns)}")
+        used = {column.name for column in self.known if column} | {""}
+        unused = [repr(name) for name in self.text.names if name not in used]
         if unused:
             self.notes.append(f"not used: {abridged(', '.join(unused), 200)}")
         if self.text.decimal_comma:
             self.notes.append("numbers have decimal commas")
 
+    def _above_the_horizon(self, columns: dict[str, Any]) -> dict[str, Any]:
+        """Columns without the rows at 90 degrees, where nothing is defined."""
+        polar = np.stack([columns["theta_i"], columns["theta_o"]])
+        at_90 = (np.abs(polar - 90) <= HORIZON).any(axis=0)
+        n_left = np.count_nonzero(at_90)
+        if n_left == len(at_90):
+            raise FileFormatError(f"{self.place} has no row below 90 degrees")
+        if n_left:
+            what = f"{n_left} of {number_of(len(at_90), 'row')}, at 90 degrees"
+            self.notes.append(f"{what}, left out")
+        self.lines = self.lines[~at_90]
+        given = {name: one for name, one in columns.items() if one is not None}
+        return {name: column[~at_90] for name, column in given.items()}
+
     # -------------------------------------------------------------------------- values
 
-    def _titled(self) -> str | None:
-        """The one quantity that the lines before the columns name, if they do."""
-        lines = (*self.text.titles, *self.text.comments)
-        title = "\n".join(line for _, line in lines).replace("_", " ")
+    def _stated_quantity(self) -> str:
+        """Quantity as specified, as names have it, or the one that titles name."""
+        said = self.settings.get("quantity")
+        values = [column for column in self.known if column and column.role == "value"]
+        named = [column.quantity for column in values if column.quantity]
+        title = "\n".join(self.titles)
         found = {q for p, q in QUANTITY_PATTERNS if re.search(p, title, re.IGNORECASE)}
-        return found.pop() if len(found) == 1 else None
+        titled = found.pop() if len(found) == 1 else ""
+        return str(said or next(iter(named), titled))
 
-    def quantity(self) -> str | None:
-        """Quantity as specified, as names or titles have it, or a question."""
-        column, specified = self.picked["value"], self.settings.get("quantity")
-        if specified is not None:
-            if column.quantity and column.quantity != specified:
+    def _quantity(self) -> str:
+        """Quantity with a note on where it is from, or a question."""
+        column, found = self.picked["value"], self._stated_quantity()
+        name = column.name.strip()
+        if "quantity" in self.settings:
+            if column.quantity not in ("", found):
                 self.notes.append(
-                    f"the values are {specified}, as specified, although their name "
-                    f"{column.name.strip()!r} says {column.quantity}"
+                    f"the values are {found}, as specified, although their name "
+                    f"{name!r} says {column.quantity}"
                 )
-            return str(specified)
-        found = column.quantity or self._titled()
-        if self.own and found in (None, "", "brdf"):
-            if not found:
-                self.notes.append(
-                    "no quantity is stated: taken as brdf in 1/sr, without cosine; "
-                    "--quantity sets another"
-                )
-            return "brdf"
-        if not found:
-            self.questions.append(_quantity_question(column.name))
-            return None
-        source = "their name" if column.quantity else "the title"
-        self.notes.append(f"the values are {found}, as {source} says")
+        elif found and not (self.own and found == "brdf"):
+            source = "their name" if column.quantity else "the title"
+            self.notes.append(f"the values are {found}, as {source} says")
+        elif self.own and not found:
+            found = "brdf"
+            self.notes.append(
+                "no quantity is stated: taken as brdf in 1/sr, without cosine; "
+                "--quantity sets another"
+            )
+        elif not found:
+            self.questions.append(_quantity_question(name))
         return found
 
-    def values(self) -> dict[str, Any]:
+    def _panel(self, quantity: str) -> float:
+        """Reflectance of a reference panel that values are multiplied with, or 1."""
+        panel, why = self.specified.panel_reflectance, ""
+        titled = next(filter(None, map(PANEL.search, self.titles)), None)
+        if titled and quantity == "reflectance_factor":
+            # a table that is saved holds it
+            self.header = {
+                key: text
+                for key, text in self.header.items()
+                if not PANEL.search(f"{key.replace('_', ' ')}: {text}")
+            }
+            if panel is None:
+                panel = float(titled[1].replace(",", ".")) * (0.01 if titled[2] else 1)
+                why = ", as the title says: --panel-reflectance 1 if they hold it"
+        if panel is None:
+            return 1.0
+        self.notes.append(f"values times {panel:g}, that of the reference panel{why}")
+        return panel
+
+    def _values(self, quantity: str) -> dict[str, Any]:
         """Values and their absolute standard uncertainties."""
-        unit = self.picked["value"].unit
-        percent = 0.01 if unit.startswith("%") else 1.0
-        if percent != 1:
-            whole = "1/sr" if unit == "%/sr" else "1"
-            self.notes.append(f"values in {unit}: 100 {unit} is {whole}")
-        values = self.arrays["value"] * percent
-        column = self.picked.get("sigma")
-        if column is None:
-            return {"value": values, "sigma": self.arrays.get("sigma")}
+        unit, panel = self.picked["value"].unit, self._panel(quantity)
+        part = PARTS.get(unit, 1.0)
+        if part != 1:
+            whole = "1" if unit == "%" else "1/sr"
+            self.notes.append(f"values in {unit}: {1 / part:g} {unit} is {whole}")
+        values = self.arrays["value"] * part * panel
+        column, sigma = self.picked.get("sigma"), self.arrays.get("sigma")
+        if sigma is None or column is None:
+            return {"value": values, "sigma": sigma}
         coverage = self._coverage(column)
-        name, sigma = column.name.strip(), self.arrays["sigma"] / coverage
+        name, sigma = column.name.strip(), sigma / coverage
         if np.isnan(coverage):
             self.questions.append(
                 f"the uncertainty {name!r:.40} may be expanded: give its name the "
                 f"factor, such as k=2, or say --columns sigma='{name}' if it is "
                 "standard"
             )
-        if not column.kind and column.unit in ("%", "1") and unit == column.unit:
+        both = column.unit in ("%", "1") and unit == column.unit
+        if column.kind == "?" or (both and not column.kind):
+            those = f" and the values are in {unit}" if both else " may be in %"
             self.questions.append(
-                f"the uncertainty {name!r:.40} and the values are in {unit}: say "
+                f"the uncertainty {name!r:.40}{those}: say "
                 f"--columns sigma='{name}:rel' if it is relative to each value (or "
                 ":abs)"
             )
         kind = column.kind or ("rel" if column.unit in ("%", "1") else "abs")
-        own = 0.01 if column.unit.startswith("%") else 1.0
+        own = PARTS.get(column.unit, 1.0)
         if kind == "rel":
             sigma = sigma * own * np.abs(values)
         else:
-            sigma = sigma * (own if column.unit else percent)
+            sigma = sigma * panel * (own if column.unit else part)
         if not self.own:
             k = f", divided by k = {coverage:g}" if coverage != 1 else ""
-            self.notes.append(f"{name!r}: {KINDS[kind]} uncertainty{k}")
+            self.notes.append(f"{name!r}: {KINDS.get(kind)} uncertainty{k}")
         return {"value": values, "sigma": sigma}
 
     def _coverage(self, column: Column) -> float:
         """Coverage factor of uncertainties; NaN if another than theirs is stated."""
         if "sigma" in self.specified.columns or coverage_of(column.name):
             return column.coverage
-        lines = (*self.text.titles, *self.text.comments)
-        found = [FACTOR.search(line) for _, line in lines]
-        stated = {float(match[1].replace(",", ".")) for match in found if match}
+        lines = [line for line in self.titles if re.search(r"\bk\s*[=:]", line, re.I)]
         names = [name.replace("_", " ").strip().lower() for name in self.text.names]
-        other = stated - {column.coverage} or set(FACTOR_NAMES) & set(names)
-        return float("nan") if other else column.coverage
+        stated = {coverage_of(line) for line in lines} - {0, column.coverage}
+        left_open = stated or set(FACTOR_NAMES) & set(names)
+        return float("nan") if left_open else column.coverage
 
-    def check_ranges(self, columns: Mapping[str, Any], quantity: str) -> None:
+    def _check_ranges(self, columns: Mapping[str, Any], quantity: str) -> None:
         """Raise FileFormatError with line and column of the first that does not fit."""
-        for name in (n for n in OWN_NAMES if columns[n] is not None):
-            good, condition = fits(name, columns[name], quantity)
+        for name, column in columns.items():
+            good, condition = fits(name, column, quantity)
             if not good.all():
                 row = int(np.argmin(good))
                 raise FileFormatError(
                     f"{self.place}, line {self.lines[row]}, column {name}: must be "
-                    f"{condition}, got {columns[name][row]:g}"
+                    f"{condition}, got {column[row]:g}"
                 )
 
 

@@ -8,13 +8,13 @@ import csv
 import io
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
 
 from ...errors import FileFormatError, shown
-from ...files.numbers import is_decimal, without_degrees
-from .names import is_unit
+from ...files.numbers import decimal, is_decimal, without_degrees
+from .names import ANGLES, is_unit, recognised
 
 # Characters of a line; no table has more, and an image in text has.
 MAX_LINE = 10_000
@@ -111,6 +111,10 @@ def split_text(
     n_known, number, delimiter = _best_names(
         candidates, lines[first : first + 1], known
     )
+    for i in range(min(first, len(lines) - 1, MAX_TITLES)):
+        matrix = _matrix(str(path), lines[i:])
+        if matrix is not None:
+            return replace(matrix, comments=comments, titles=lines[:i])
     if n_known < 2:
         if any(text.startswith(REFLET_HEAD) for _, text in lines):
             raise FileFormatError(
@@ -144,6 +148,52 @@ def split_text(
         [line for line in lines if line[0] < number],
         has_decimal_commas(rows, delimiter),
     )
+
+
+def _matrix(place: str, lines: Sequence[Line]) -> TextTable | None:
+    """Table of three columns from a matrix, whose first cell names its angles.
+
+    That of the rows, or of rows and columns: ``theta_o/theta_i``.
+    """
+    number, head = lines[0]
+    for delimiter in DELIMITERS:
+        corner, *across = cut(head, delimiter)
+        first = cut(lines[1][1], delimiter)
+        alike = len(across) > 1 and len(first) == 1 + len(across)
+        angles = [_number(cell) for cell in (corner, first[0], *across)]
+        if not alike or angles[0] is not None or None in angles[1:]:
+            continue
+        whole = recognised(corner)
+        parts = [corner] if whole else re.split(r"[\\/|]", corner)
+        found = [column for column in map(recognised, parts) if column]
+        roles = [column.role for column in found]
+        if len(roles) < 2 and any(abs(angle or 0) > 90 for angle in angles[2:]):
+            continue  # wavelengths
+        if roles in (["theta_o"], ["theta_i"]):
+            roles += {"theta_o", "theta_i"} - set(roles)
+        if len(roles) != 2 or not set(roles) < {*ANGLES}:
+            raise FileFormatError(
+                f"{place}, line {number}: the first cell of a matrix must name the "
+                f"angles of its rows and columns, as theta_o/theta_i, got {corner!r}"
+            )
+        unit = next((f" [{one.unit}]" for one in found if one.unit), "")
+        commas = has_decimal_commas(lines[1:], delimiter)
+        matrix = TextTable(place, delimiter, number, [corner, *across], [*lines[1:]])
+        matrix.decimal_comma = commas
+        rows = [
+            (n, f"{row[0]};{angle};{value}")
+            for n, row in matrix.cells()
+            for angle, value in zip(angles[2:], row[1:])
+        ]
+        names = [*(role + unit for role in roles), "value"]
+        return TextTable(place, ";", number, names, rows, decimal_comma=commas)
+    return None
+
+
+def _number(cell: str) -> float | None:
+    """Number of a cell with a decimal point or comma; None if it is none."""
+    text = cell.replace(",", ".", 1)
+    return decimal(text) if is_decimal(text) else None
 
 
 def _comments_and_lines(path: str | PathLike[str]) -> tuple[list[Line], list[Line]]:

@@ -664,3 +664,13 @@ def test_memory_is_asked_for_what_is_kept(tmp_path, monkeypatch, load):
     arrays = [getattr(one, name) for one in tallies for name in one.arrays]
     kept = sum(array.nbytes for array in arrays)
     assert kept <= asked[0] < 1.1 * kept
+
+
+def test_the_patches_fill_their_display_window(tmp_path):
+    """Which OpenEXR wants to be one for all parts."""
+    record = synthetic.record()
+    record.save(tmp_path / "map.exr")
+    patches = OpenEXR.File(str(tmp_path / "map.exr")).parts[0].header
+    n_theta, n_phi = record.subdivision.shape
+    for window in ("displayWindow", "dataWindow"):
+        assert np.array_equal(patches[window], [[0, 0], [n_phi - 1, n_theta - 1]])

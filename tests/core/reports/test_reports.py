@@ -228,6 +228,8 @@ def test_slider_and_pointer_show_the_record(opened):
         assert number == pytest.approx(record.btdf[index, 3, 2, 0], rel=0, abs=shown)
         assert number != pytest.approx(record.btdf[1, 3, 2, 0], rel=0, abs=shown)
         assert f"{record.counts[index, 1, 3, 2]} rays" in text
+    rings = page.locator("#map-0-1 .annotation-text").all_text_contents()
+    assert rings == ["30°", "60°"]
 
 
 def test_totals_have_the_digits_that_show_gives_them(opened):
@@ -343,12 +345,31 @@ def test_records_of_unlike_settings_have_unlike_names(opened):
     assert page.locator("#record option").all_text_contents() == names
     assert page.locator("#beside option").all_text_contents() == ["none", *names]
     assert page.locator("#title").text_content() == names[0]
+
     assert page.locator("#maps h2").all_text_contents()[:2] == [
         f"reflection: {name}" for name in names[:2]
     ]
     legend = page.locator("#cut .legendtext").all_text_contents()
     assert legend[0] == f"{names[0]}, reflection"
     assert legend[-1] == f"{names[1]}, transmission"
+
+
+ROOM = """() => {
+    const menu = document.querySelector('#record'), style = getComputedStyle(menu);
+    const pen = document.createElement('canvas').getContext('2d');
+    pen.font = style.font;
+    return menu.clientWidth - Math.max(...Array.from(menu.options, (one) =>
+        pen.measureText(one.text).width));
+}"""
+
+
+def test_menus_are_as_wide_as_the_names_in_them(opened):
+    """Twin: a narrower menu cuts the order, by which they differ."""
+    base = synthetic.record().with_settings(specimen="grooves_of_my_first_tile.xml")
+    page = opened(*(base.with_settings(order=order) for order in ("1", "2")))
+    assert page.evaluate(ROOM) > 0
+    page.add_style_tag(content=".bar select { max-width: 12em; }")
+    assert page.evaluate(ROOM) < 0
 
 
 def test_no_difference_of_unlike_patches_or_channels(opened):

@@ -101,11 +101,11 @@ def test_a_rounding_in_place_of_an_error_is_explained():
 
 
 def test_an_interval_for_light_that_no_ray_found_is_explained():
-    """Where batches hardly scatter, of which rays may have missed -ln(0.025) / n.
+    """Where batches hardly scatter.
 
     Twin: those of independent rays scatter by far more.
     """
-    note = "light that no ray may have found: what about 3.7 rays carry"
+    note = "leaves room for light so rare that no ray may have met it"
     assert "no ray may have" not in summary_text(summarize(synthetic.record()))
     alike = synthetic.record()
     tally = synthetic.writeable(alike.tallies[0])

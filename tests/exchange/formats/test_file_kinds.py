@@ -1,8 +1,11 @@
 """A file that was given to the wrong command is told which command takes it."""
 
+import re
+
 import numpy as np
 import pytest
 import synthetic
+from gonio_mi.formats import height_map_reader
 
 from gonio_mi.cli import COMMANDS, main
 
@@ -58,6 +61,59 @@ def test_what_is_no_specimen(name, tmp_path, capsys):
     line = said(capsys, "measure", path, "--theta-i", "30")
     taken = {"run.npz": "show, plot or report", "table.csv": "show, compare or fit"}
     assert (taken | KINDS)[name] in line
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("scan.xyz", "0 0 0\n1 0 0\n", "a cloud of points, which no command reads"),
+        (
+            "scan.ply",
+            "ply\nformat ascii 1.0\nelement vertex 1\nend_header\n\n",
+            "a cloud of points, which no command reads",
+        ),
+        ("room.rad", "void plastic red\n0\n0\n", "is a scene of Radiance"),
+        ("README.md", "# Title\n", "is no specimen: scenes are Mitsuba's, in XML"),
+    ],
+)
+def test_what_no_command_reads_as_a_specimen(name, content, message, tmp_path, capsys):
+    """Twin: a scene without the ending of one is read."""
+    path = tmp_path / name
+    path.write_text(content)
+    assert message in said(capsys, "measure", path, "--theta-i", "30")
+    assert message in said(capsys, "surface", path)
+    path.write_text('\n<scene version="3.0.0"></scene>')
+    if path.suffix == ".md":
+        assert "no specimen" not in said(capsys, "measure", path, "--theta-i", "30")
+
+
+SPECTRUM = (
+    "0.3 0.02 0.05 0.05\n0.4 0.88 0.08 0.08\n0.5 0.90 0.08 0.08\n0.6 0.9 0.1 0.1\n"
+)
+
+
+@pytest.mark.parametrize("formats", ["metropro,asc", "asc"])
+def test_text_with_labels_is_no_map_of_heights(formats, tmp_path):
+    """Twins: other comments, and the labels of maps."""
+    pytest.importorskip("SurfaceTopography")
+    path = tmp_path / "glass.dat"
+    for labels in ("{ Thickness } 3.0", "# wavelength T Rf Rb", "wavelength T Rf Rb"):
+        path.write_text(f"{labels}\n{SPECTRUM}")
+        with pytest.raises(
+            ValueError, match=f"such as {labels}, and no map of heights"
+        ):
+            height_map_reader.read(str(path), formats.split(","))
+    maps = "Channel: Main\nWidth: 10 um\nHeight: 10 um\nValue units: um\n"
+    for labels in ("", "# a tile, 3 mm\n", maps, re.sub("(?m)^(?=.)", "# ", maps)):
+        path.write_text(labels + SPECTRUM)
+        _, heights = height_map_reader.read(str(path), formats.split(","))
+        assert heights.shape == (4, 4)
+
+
+def test_a_spectrum_is_shown_as_no_surface(tmp_path, capsys):
+    path = tmp_path / "glass.dat"
+    path.write_text("{ Thickness } 3.0\n" + SPECTRUM)
+    assert "must name the columns" in said(capsys, "show", path)
 
 
 @pytest.mark.parametrize("other", ["other.csv", "diffuse"])

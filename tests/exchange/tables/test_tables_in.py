@@ -52,15 +52,19 @@ Shifted Relative Azimuth | -          | -
 Elevation                | -          | -
 weight                   | -          | -
 cos * BRDF               | value      | -
-BRDF_1/sr                | value      | -
+BRDF_1/sr                | value      | 1/sr
 BRDF 1000 nm             | value      | -
-BRDF [1/sr] 1000 nm      | value      | -
+BRDF [1/sr] 1000 nm      | value      | 1/sr
 BRDF sample 2            | value      | -
 log10 BRDF               | -          | -
 ln(BRDF)                 | -          | -
 BRDF (dB)                | -          | -
-BRDF [mSr-1]             | -          | -
-BRDF [1/msr]             | -          | -
+BRDF [mSr-1]             | value      | 1/msr
+BRDF [1/msr]             | value      | 1/msr
+BRDF [1/µsr]             | -          | -
+BRDF - dark              | -          | -
+BRDF/sigma               | -          | -
+thetas_o                 | theta_o    | -
 1000*BRDF                | -          | -
 BRDF x 1e3               | -          | -
 BRDF x 1000              | -          | -
@@ -211,9 +215,13 @@ def test_a_said_column_keeps_the_unit_of_its_name(tmp_path):
     assert gonio.read_measured(path, **said).value[0] == pytest.approx(0.315, EPS)
 
 
-def test_a_coverage_that_is_no_number_is_none(tmp_path):
+def test_a_coverage_that_is_no_number_is_asked_for(tmp_path):
     text = "theta_i [deg],theta_r [deg],brdf,sigma (k=1.2.3)\n0,20,1,0.5\n"
-    assert gonio.read_measured(written(tmp_path, text)).sigma.tolist() == [0.5]
+    path = written(tmp_path, text)
+    with pytest.raises(gonio.FileFormatError, match="may be expanded"):
+        gonio.read_measured(path)
+    columns = {"sigma": "sigma (k=1.2.3)"}
+    assert gonio.read_measured(path, columns=columns).sigma.tolist() == [0.5]
 
 
 def test_a_reflectance_factor_is_pi_times_the_brdf(tmp_path):
@@ -280,24 +288,27 @@ def test_units_below_the_names_colours_and_gaps(tmp_path):
     ("text", "message"),
     [
         ("theta_i,theta_r,phi_i,phi_r,550nm\n45,30,0,180,1\n", "say --quantity brdf,"),
-        ("theta_i,theta_r,brf,brdf\n45,0,1,1\n", "several .* say --columns value=NAME"),
+        (
+            "theta_i,theta_r,brf,brdf\n45,0,1,1\n",
+            "one column must be value .* say --columns value=NAME",
+        ),
         ("theta_i,theta_r,brdf\n0.5,0,1\n", "say --columns theta_i='theta_i:rad'"),
         ("theta_i,phi_i,brdf\n45,0,1\n", "say --columns theta_o=NAME"),
         ("a,b,c\n45,0,1\n", "say each: --columns theta_i=NAME theta_o=NAME value"),
         # all at once, as far as it can be told
         (
             "theta_i,phi_i,delta_phi,b,c\n45,0,0,0,1\n",
-            "open: .1. .*columns theta_o and value are missing; .* say --columns "
+            "open: .1. one column must be theta_o, one value .* say --columns "
             "theta_o=NAME value=NAME; .2. .* say --quantity brdf,",
         ),
         (
             "theta_r,phi_r,brdf\n30,0,1\n",
-            "theta_i is missing.* such as theta_i=30; .2. its azimuths .* say "
+            "must be theta_i:.* such as theta_i=30; .2. its azimuths .* say "
             "--azimuth source or mirror, .* or --columns phi_i=0",
         ),
         (
             "theta_i,b,450nm,550nm\n45,0,1,2\n",
-            "channel must be one of 450nm, 550nm: .*theta_o is missing.*--quantity",
+            "channel must be one of 450nm, 550nm: .*must be theta_o .*--quantity",
         ),
         (
             "theta_i,theta_r,raa,550nm\n0.5,0.4,0,1\n",
@@ -308,7 +319,7 @@ def test_units_below_the_names_colours_and_gaps(tmp_path):
         ("theta_i;theta_r;brdf\n45;0\n", "must have 3 values separated by semicolons"),
         (
             "theta_i;theta_r;brdf;raa;phi_i\n95;0;1;0;0\n",
-            "theta_i must be an angle in degrees",
+            "line 2, column theta_i: must be an angle in degrees",
         ),
     ],
 )

@@ -156,6 +156,87 @@ UNDERSTOOD = {
         {"columns": {"sigma": "u(BRF) [%]:abs"}},
         (*PLANE, 0.5 / PI, 0.04 / PI),
     ),
+    "per millisteradian": (
+        f"{HEAD}BRDF [msr^-1]\n{ROW}4e-4\n",
+        {},
+        (*PLANE, 0.4, None),
+    ),
+    "per millisteradian, as said": (
+        f"{HEAD}Messwert [msr^-1];u\n{ROW}4e-4;1e-5\n",
+        {"columns": {"value": "Messwert [msr^-1]"}, "quantity": "brdf"},
+        (*PLANE, 0.4, 0.01),
+    ),
+    "a level in %, relative": (
+        f"{HEAD}BRF [%];U95%\n{ROW}50;1.96\n",
+        {"columns": {"sigma": "U95%:rel"}},
+        (*PLANE, 0.5 / PI, 0.005 / PI),
+    ),
+    "a level in %, absolute": (
+        f"{HEAD}BRF [%];U95%\n{ROW}50;1.96\n",
+        {"columns": {"sigma": "U95%:abs"}},
+        (*PLANE, 0.5 / PI, 0.01 / PI),
+    ),
+    "a level in %, absolute of 1/sr": (
+        f"{HEAD}BRDF;U95%\n{ROW}0.4;0.0196\n",
+        {"columns": {"sigma": "U95%:abs"}},
+        (*PLANE, 0.4, 0.01),
+    ),
+    "at 90 degrees": (
+        f"{HEAD}BRDF\n45;0;90;180;7\n90;0;30;180;7\n{ROW}0.4\n",
+        {},
+        (*PLANE, 0.4, None),
+    ),
+    "at 1.5708 rad": (
+        "theta_i [deg];phi_i [deg];theta_o [rad];phi_o [deg];BRDF\n"
+        f"45;0;1.5708;180;7\n45;0;{PI / 6};180;0.4\n",
+        {},
+        (*PLANE, 0.4, None),
+    ),
+    "a panel that is said": (
+        f"{HEAD}BRF\n{ROW}0.5\n",
+        {"panel_reflectance": 0.98},
+        (*PLANE, 0.49 / PI, None),
+    ),
+    "a panel in the title": (
+        f"Reflectance of the reference panel: 98,0 %\n{HEAD}BRF;u\n{ROW}0.5;0.1\n",
+        {},
+        (*PLANE, 0.49 / PI, 0.098 / PI),
+    ),
+    "a panel in a comment, at a wavelength": (
+        f"# panel reflectance at 550 nm = 0.98\n{HEAD}BRF\n{ROW}0.5\n",
+        {},
+        (*PLANE, 0.49 / PI, None),
+    ),
+    "a panel in the title, counted already": (
+        f"reference panel: reflectance 0.98\n{HEAD}BRF\n{ROW}0.5\n",
+        {"panel_reflectance": 1},
+        (*PLANE, 0.5 / PI, None),
+    ),
+    "a BRDF needs no panel": (
+        f"reference panel: reflectance 0.98\n{HEAD}BRDF\n{ROW}0.5\n",
+        {},
+        (*PLANE, 0.5, None),
+    ),
+    "a panel of a number": (
+        f"Reflectance factors to reference panel 2, 8 deg\n{HEAD}BRF\n{ROW}0.5\n",
+        {},
+        (*PLANE, 0.5 / PI, None),
+    ),
+    "a matrix": (
+        "BRDF of a tile\ntheta_o,0,45\n-30,0.1,0.4\n0,0.2,0.3\n",
+        {"azimuth": "source"},
+        (0, 0, 30, 180, 0.1, None),
+    ),
+    "a matrix of rows of incidence": (
+        "BRDF\ntheta_i [deg];30,0;0,5\n45,0;0,4;\n",
+        {"azimuth": "mirror"},
+        (45, 0, 30, 180, 0.4, None),
+    ),
+    "a matrix of both names": (
+        "BRDF\ntheta_o/phi_o\t180\t270\n30\t0.4\t0.1\n",
+        {"columns": {"theta_i": "45", "phi_i": "0"}},
+        (*PLANE, 0.4, None),
+    ),
     "cosine": (
         f"{HEAD}BRDF*cos(theta)\n45;0;60;180;0.2\n",
         {},
@@ -411,17 +492,19 @@ ASKED = {
         "'U' may be expanded",
     ),
     "a column of k": (f"{HEAD}BRDF;U;k\n{ROW}0.4;0.02;3\n", "'U' may be expanded"),
-    "polarisation": (f"{HEAD}BRDF_s;BRDF_p\n{ROW}0.4;0.3\n", "columns may be value"),
+    "polarisation": (
+        f"{HEAD}BRDF_s;BRDF_p\n{ROW}0.4;0.3\n",
+        "must be value .*'BRDF_s', 'BRDF_p'",
+    ),
     "elevations": (
         "source elevation;source azimuth;detector elevation;detector azimuth;BRDF\n"
         f"{ROW}0.4\n",
-        "the columns theta_i and theta_o are missing",
+        "must be theta_i, one theta_o",
     ),
     "cosines": (
         "cos(theta_i);phi_i;cos(theta_o);phi_o;BRDF\n0.7;0;0.8;180;0.4\n",
-        "the columns theta_i and theta_o are missing",
+        "must be theta_i, one theta_o",
     ),
-    "BRDF per millisteradian": (f"{HEAD}BRDF [1/msr]\n{ROW}4e-4\n", "value is missing"),
     "radians without a unit": (
         "theta_i,phi_i,theta_o,phi_o,value\n0.5,0,1.2,3.14159\n".replace(
             "59\n", "59,1\n"
@@ -441,6 +524,8 @@ ASKED = {
         "'U_90' may be expanded: .* such as k=2, or say --columns sigma='U_90' if",
     ),
     "a number beside u": (f"{HEAD}BRDF;u 2\n{ROW}0.4;0.1\n", "'u 2' may be expand"),
+    "U95% of %": (f"{HEAD}BRF [%];U95%\n{ROW}50;4\n", "sigma='U95%:rel' if it is rel"),
+    "U95% of a BRDF": (f"{HEAD}BRDF;U95%\n{ROW}0.4;4\n", "'U95%' may be in %: say"),
     "% of %": (
         f"{HEAD}BRF [%];u(BRF) [%]\n{ROW}50;4\n",
         "'u.BRF. ...:rel' if it is rel",
@@ -450,16 +535,28 @@ ASKED = {
         "theta_i,phi_i,theta_o,phi_o,value\n45,0,-30,0,0.4\n",
         "say --azimuth source or",
     ),
-    "a difference beside": (f"{HEAD}ΔBRDF\n{ROW}0.01\n", "the column value is missing"),
-    "u of an angle": (f"{HEAD}u(theta_i)\n{ROW}0.01\n", "the column value is missing"),
+    "a difference beside": (f"{HEAD}ΔBRDF\n{ROW}0.01\n", "one column must be value"),
+    "u of an angle": (f"{HEAD}u(theta_i)\n{ROW}0.01\n", "one column must be value"),
     "one column per model": (
         "theta_i,phi_i,theta_o,phi_o,GGX,Beckmann\n45,0,30,180,0.4,0.3\n",
-        "value is missing; .* .'GGX', 'Beckmann'., say --columns value=NAME",
+        "be value .it has 'GGX', 'Beckmann'.: say --columns value=NAME",
     ),
     "values of no name": ("theta_i,theta_r,550nm\n45,0,1\n", "say --quantity brdf,"),
 }
 
 REFUSED = {
+    "90 degrees alone": (
+        f"{HEAD}brdf\n45;0;90;0;0.1\n",
+        "no row below 90 degrees",
+    ),
+    "a matrix of nothing": (
+        "BRDF;0;30\n0;0.1;0.1\n",
+        "line 1: the first cell of a matrix must name .* theta_o/theta_i, got 'BRDF'",
+    ),
+    "a matrix with a short row": (
+        "BRDF\ntheta_o;0;30\n0;0.1;0.1\n10;0.1\n",
+        "line 4: must have 3 values separated by semicolons, got 2",
+    ),
     "no value among ours": (
         "theta_i,phi_i,theta_o,phi_o,value\n45,0,30,180,-999\n",
         "has no row with a value",
@@ -478,11 +575,11 @@ REFUSED = {
     ),
     "tenths of a degree": (
         "theta_i (0.1 deg);theta_r (0.1 deg);brdf;phi_i;phi_r\n45;30;1;0;180\n",
-        "the columns theta_i and theta_o are missing",
+        "must be theta_i, one theta_o",
     ),
     "milliradians": (
         "theta_i [mrad],theta_r,brdf\n45,0,1\n",
-        "the column theta_i is mis",
+        "one column must be theta_i",
     ),
 }
 
@@ -574,7 +671,40 @@ def test_a_number_in_a_name_that_is_said_to_be_standard(tmp_path):
 
 def test_rows_without_an_angle_are_counted(tmp_path):
     text = f"{HEAD}brdf\n45;0;10;-999;0.1\n45;0;10;-9999;0.1\n{ROW}0.4\n"
-    note = "2 rows without another number than the value left out: -9999, -999"
+    note = "2 rows without another number than the value left out: -999, -9999"
     assert any(one.startswith(note) for one in read(tmp_path, text).notes)
     with pytest.raises(ValueError, match="no row without a missing number"):
         read(tmp_path, f"{HEAD}brdf\n45;0;10;-999;0.1\n")
+
+
+def test_rows_at_90_degrees_are_counted(tmp_path):
+    """Twin: 89.99 degrees is no horizon, and 91 is refused."""
+    rows = f"45;0;90;0;0.1\n45;0;89.99;0;0.1\n{ROW}0.4\n"
+    table = read(tmp_path, f"{HEAD}brdf\n{rows}")
+    assert table.theta_o.tolist() == [89.99, 30]
+    assert "1 of 3 rows, at 90 degrees, left out" in table.notes
+    with pytest.raises(ValueError, match=r"line 2, column theta_o: .* got 91"):
+        read(tmp_path, f"{HEAD}brdf\n{rows.replace('90', '91')}")
+
+
+def test_every_value_of_a_matrix_has_its_angles(tmp_path):
+    """Value 10 row + column; twin: turned round, both are exchanged."""
+    text = "BRDF\ntheta_{},10,20,30\n40,41,42,43\n50,51,,53\n"
+    for corner, down, across in (
+        ("o", "theta_o", "theta_i"),
+        ("i", "theta_i", "theta_o"),
+    ):
+        table = read(tmp_path, text.format(corner), azimuth="mirror")
+        expected = getattr(table, down) + getattr(table, across) / 10
+        assert table.value.tolist() == expected.tolist() == [41, 42, 43, 51, 53]
+
+
+def test_a_panel_is_counted_once_in_a_saved_table(tmp_path):
+    table = read(tmp_path, f"# panel_reflectance: 0.98\n{HEAD}BRF\n{ROW}0.5\n")
+    assert any("times 0.98" in note for note in table.notes)
+    table.save(tmp_path / "saved.csv")
+    again = gonio.read_measured(tmp_path / "saved.csv")
+    assert again.value.tolist() == table.value.tolist() == [0.5 * 0.98]
+    for panel in (0, -1, 3):
+        with pytest.raises(ValueError, match="panel_reflectance must be a number"):
+            read(tmp_path, f"{HEAD}BRF\n{ROW}0.5\n", panel_reflectance=panel)
