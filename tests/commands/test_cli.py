@@ -329,7 +329,7 @@ def test_precision_that_is_reached_exits_with_0(run):
         ((*QUICK, "-D", "alpha"), "-D must look like key=value, got 'alpha'"),
         ((*QUICK, "-D", "alpha=1"), "-D applies to scene files only, got 'diffuse'"),
         (("measure", "difuse", *QUICK[2:]), "not found; did you mean diffuse?\n"),
-        (("mesure", *QUICK[1:]), "'doctor'); did you mean measure?\n"),
+        (("mesure", *QUICK[1:]), "'conformance'); did you mean measure?\n"),
         ((*QUICK, "--tolerence", "1"), ": --tolerence; did you mean --tolerance?\n"),
         (("measure", "--phi_i=5", *QUICK[2:]), "--phi_i; did you mean --phi-i?\n"),
         ((*QUICK, "--ior", "1"), "unrecognized arguments: --ior 1\n"),
