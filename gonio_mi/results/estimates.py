@@ -452,7 +452,8 @@ class SplitEstimates(ControlledEstimates):
     """Estimates where points of the surface tell the first order, in batches too.
 
     Most patches receive few branches, or none, which their own scatter does not show;
-    their intervals therefore allow for one more branch.
+    their intervals therefore allow for one more branch, and those of totals for one
+    more ray: what no point met is bright, but rarer than one in all rays.
     """
 
     @property
