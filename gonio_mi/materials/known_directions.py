@@ -135,11 +135,13 @@ class KnownDirections:
         incidents: Iterable[tuple[float, float]],
         purpose: str,
         noise: float = NOISE,
+        seed: int | None = None,
     ) -> None:
         """Measure the directions that are not known yet, or not as precisely.
 
         `purpose` stands beside the progress bar; `noise` is the total variation
-        distance that it may make where directions are sampled, over the tolerance.
+        distance that it may make where directions are sampled, over the tolerance;
+        `seed` is that of points of the surface that the others do not share.
 
         Raises
         ------
@@ -155,7 +157,10 @@ class KnownDirections:
         label = f"{abridged(self.name, 16)}, {len(self.records)} measured, {purpose}"
         logger.info("%s: %d more", label, len(new))
         part = f"{self.estimators[0]}_{self.n_rounds:03d}"
-        stack = self._kept(part, new, self.settings | self._goals(goal), label)
+        settings = self.settings | self._goals(goal)
+        if seed is not None and self.estimators[0].splits:
+            settings["seed"] = seed
+        stack = self._kept(part, new, settings, label)
         self.rays += stack.ledger.emitted
         flux = stack.flux_fraction
         self.flux += flux[:, :1].sum(), flux[:, 1:].sum()
