@@ -339,8 +339,8 @@ def _worst(places: Sequence[str], views: Sequence[Sized], what: str) -> Finding:
     shares = [float((sizes > 1).mean()) if len(sizes) else 0.0 for sizes, *_ in views]
     n_many = sum(bool(is_many(sizes > 1)) for sizes, *_ in views)
     if not n_many:
-        seen = (float(np.quantile(sizes, 0.999)) for sizes, *_ in views if len(sizes))
-        most = max(seen, default=0.0)
+        known = [float(np.quantile(sizes, 0.999)) for sizes, *_ in views if len(sizes)]
+        most = max(known, default=0.0)
         return False, most, f"to rounding: up to {most:.2g} of what it may leave"
     i = int(np.argmax(shares))
     sizes, *values = views[i]
@@ -408,8 +408,9 @@ def _weights(a: Mapping[str, Any], b: Mapping[str, Any]) -> Sized:
     # a weight is badly conditioned where a density or a value is
     relative = (slack / np.fmax(density, SMALLEST))[:, None]
     relative = relative + value_slack / np.fmax(value, SMALLEST)
-    of_weights = _sizes(*weights, relative[both] * np.abs(weights[0]))
-    of_densities = _sizes(*densities, slack[both])
+    own, others = weights
+    of_weights = _sizes(own, others, relative[both] * np.abs(own))
+    of_densities = _sizes(densities[0], densities[1], slack[both])
     shown = weights if of_weights.sum() >= of_densities.sum() else densities
     return np.fmax(of_weights, of_densities), shown[0], shown[1]
 
