@@ -149,7 +149,9 @@ class KnownDirections:
             If a direction refuses the estimator, and none was asked for.
         """
         goal = noise * self.tolerance
-        new = sorted(one for one in set(incidents) if self._lacks(one, goal))
+        # not known, or sampled and not as precise
+        found = ((one, self.records.get(one)) for one in set(incidents))
+        new = sorted(i for i, r in found if r is None or (r.asked.noise or 0.0) > goal)
         if not new:
             return
         started = time.perf_counter()
@@ -167,11 +169,6 @@ class KnownDirections:
         self.records |= zip(new, stack)
         self.n_rounds, self.n_timed = self.n_rounds + 1, self.n_timed + len(new)
         self.seconds += time.perf_counter() - started
-
-    def _lacks(self, incident: tuple[float, float], noise: float) -> bool:
-        """Whether a direction is not known, or is sampled and not as precise."""
-        record = self.records.get(incident)
-        return record is None or (record.asked.noise or 0.0) > noise
 
     def _kept(
         self,

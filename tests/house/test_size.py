@@ -21,7 +21,11 @@ def over(counts, budget):
 
 def test_rooms_are_within_their_budget():
     counts = lines.rooms()
-    print("\n".join(f"{room:12} {n:6} of {BUDGET.get(room, 0)}" for room, n in counts.items()))
+    print(
+        "\n".join(
+            f"{room:12} {n:6} of {BUDGET.get(room, 0)}" for room, n in counts.items()
+        )
+    )
     assert over(counts, BUDGET) == {}
     assert lines.core(counts) <= CORE
     assert counts.total() <= WHOLE
@@ -41,5 +45,17 @@ def test_twin_a_room_that_grows_is_seen():
 
 
 def test_code_is_what_counts():
-    source = '"""Doc\n\nstring."""\n\n# comment\nx = [\n    1,\n]\n\n\ndef f():\n    "doc"\n    return x\n'
+    source = '"""Doc
+
+string."""
+# comment
+x = [
+    1,
+]
+
+
+def f():
+    "doc"
+    return x
+'
     assert lines.lines_of_code(source) == {6, 7, 8, 11, 13}
