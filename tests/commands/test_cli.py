@@ -438,7 +438,7 @@ def test_spaces_around_parameters_are_none(run):
     for specimen in ("diffuse: reflectance = 0.5", "diffuse:reflectance=0.5,"):
         code, out, _ = run("measure", specimen, *words)
         assert (code, "diffuse:reflectance=0.5" in out) == (0, True)
-    with pytest.raises(gonio.SpecimenError, match="no use for ' reflectance'; it take"):
+    with pytest.raises(gonio.SpecimenError, match="no use for ' reflectance'; did you"):
         gonio.measure({"type": "diffuse", " reflectance": 0.5}, 45)
 
 

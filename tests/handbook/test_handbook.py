@@ -68,11 +68,3 @@ def test_the_page_of_other_programs_names_every_ending():
     page = (PAGES / "other_programs.md").read_text(encoding="utf-8")
     endings = {ending for one in reading._all() for ending in one.endings}
     assert {ending for ending in endings if f"`{ending}`" not in page} == set()
-
-
-def test_how_it_is_built_lists_every_room():
-    text = (PAGES / "how_it_is_built.md").read_text()
-    table = text.partition("| room |")[2].partition("## One path")[0]
-    listed = re.findall(r"`(\w+)`", "\n".join(re.findall(r"^\|([^|]*)", table, re.M)))
-    rooms = [path.parent.name for path in (ROOT / "gonio_mi").glob("*/__init__.py")]
-    assert sorted(listed) == sorted(rooms)

@@ -83,10 +83,10 @@ def compare(
 
     Parameters
     ----------
-    record : Record, sequence of Record, or specimen
+    record : Record, sequence of Record, dict, str or path
         Several, if `other` is a table: what `measure_like` returns. A specimen (a
         dictionary, an object of Mitsuba, a scene file) is measured as `other` was.
-    other : Record, MeasuredTable, or specimen
+    other : Record, MeasuredTable, dict, str or path
         A specimen is measured as the record was.
         A record must have the same collector, channels and incident directions: there
         is no honest way from one set of patch means to another. Where only one has a
