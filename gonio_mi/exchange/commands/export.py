@@ -44,13 +44,9 @@ def add_options(parser: ArgumentParser) -> None:
         help="Files that end in .csv, .astm, .xml, .bsdf, .nc, .h5, .zemax.bsdf, "
         f".binary or {', '.join(e for e in endings_of('write') if e != '.bsdf')}.",
     )
-    parser.add_argument(
-        "--basis",
-        choices=BASES,
-        metavar="BASIS",
-        help="Basis of .xml: klems, klems-half, klems-quarter, or a tensor tree, "
-        "tensor3 for isotropic or tensor4 for any materials. Default: klems.",
-    )
+    text = "Basis of .xml: klems, klems-half, klems-quarter, or a tensor tree, "
+    text += "tensor3 for isotropic or tensor4 for any materials. Default: klems."
+    add_text(parser, "--basis", "BASIS", text, choices=BASES)
     text = "Report the loss at every incident direction."
     parser.add_argument("--every", action="store_true", help=text)
 

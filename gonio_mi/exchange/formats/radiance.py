@@ -245,22 +245,17 @@ def read(stream: BinaryIO) -> dict[tuple[str, str], Floats | TensorTree]:
     blocks = {}
     for data in root.iter("WavelengthData"):
         wavelength = data.findtext("Wavelength", "").strip()
-        if wavelength in DETECTORS:
-            for block in data.iter("WavelengthDataBlock"):
-                direction = block.findtext("WavelengthDataDirection", "").strip()
-                require(
-                    direction in DIRECTIONS.values(),
-                    f"its WavelengthDataDirection {direction!r:.40} is unknown",
-                )
-                require(
-                    (wavelength, direction) not in blocks,
-                    f"it holds {wavelength} {direction} twice",
-                )
-                blocks[wavelength, direction] = _data(block, direction, structure)
-    require(
-        any(wavelength == "Visible" for wavelength, _ in blocks),
-        "it holds no visible BSDF",
-    )
+        for block in (
+            data.iter("WavelengthDataBlock") if wavelength in DETECTORS else ()
+        ):
+            direction = block.findtext("WavelengthDataDirection", "").strip()
+            unknown = f"its WavelengthDataDirection {direction!r:.40} is unknown"
+            require(direction in DIRECTIONS.values(), unknown)
+            key = wavelength, direction
+            require(key not in blocks, f"it holds {wavelength} {direction} twice")
+            blocks[key] = _data(block, direction, structure)
+    visible = any(wavelength == "Visible" for wavelength, _ in blocks)
+    require(visible, "it holds no visible BSDF")
     return blocks
 
 

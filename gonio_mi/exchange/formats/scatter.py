@@ -66,12 +66,9 @@ class Block:
     def __post_init__(self) -> None:
         for name, low, high in (("polar", 0, 180), ("azimuth", -360, 720)):
             angles = getattr(self, name)
+            good = len(angles) > 0 and bool((angles[1:] > angles[:-1]).all())
             require(
-                len(angles) > 0
-                and bool(np.isfinite(angles).all())
-                and bool((np.diff(angles) > 0).all())
-                and low <= angles[0]
-                and angles[-1] <= high,
+                good and low <= angles[0] and angles[-1] <= high,  # and so finite
                 f"its {name} angles must ascend within [{low}, {high}] degrees",
             )
         require(
@@ -127,7 +124,11 @@ class Block:
         azimuth = np.degrees(np.arctan2(local[..., 1], local[..., 0]))
         if self.mirrored:
             azimuth = np.abs(azimuth)
-        angles, values = self._closed()
+        angles, values = self.azimuth, self.values
+        if not self.mirrored and np.ptp(angles) < 360 * (1 - 1e-9):
+            # the first is repeated after a full turn
+            angles = np.append(angles, angles[0] + 360)
+            values = np.concatenate([values, values[:, :1]], axis=1)
         azimuth = angles[0] + np.mod(azimuth - angles[0], 360)
         row, up = _between(self.polar, polar)
         column, along = _between(angles, azimuth)
@@ -138,13 +139,6 @@ class Block:
         high = values[next_row, column] * (1 - along)
         high = high + values[next_row, next_column] * along
         return low * (1 - up) + high * up
-
-    def _closed(self) -> tuple[Floats, Floats]:
-        """Azimuths and values, the first repeated after a full turn."""
-        if self.mirrored or np.ptp(self.azimuth) >= 360 * (1 - 1e-9):
-            return self.azimuth, self.values
-        turn = np.append(self.azimuth, self.azimuth[0] + 360)
-        return turn, np.concatenate([self.values, self.values[:, :1]], axis=1)
 
     def directions(
         self, polar: Floats | None = None, azimuth: Floats | None = None

@@ -10,7 +10,7 @@ rank 4: the direction of flight, and the exit direction, in that square.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -155,18 +155,14 @@ def _merged(values: Floats, flat: float) -> Node:
     size = len(values)
     if size == 2:
         return values
-    children = [_merged(part, flat) for part in _orthants(values)]
-    if all(isinstance(c, np.ndarray) and len(c) == size // 2 for c in children):
+    half, children = size // 2, []
+    halves = slice(None, half), slice(half, None)
+    for number in range(2**values.ndim):  # orthants, the first axis fastest
+        part = tuple(halves[number >> k & 1] for k in range(values.ndim))
+        children.append(_merged(values[part], flat))
+    if all(isinstance(c, np.ndarray) and len(c) == half for c in children):
         return values
     return children
-
-
-def _orthants(values: Floats) -> Iterator[Floats]:
-    """Halves of all axes, the first axis fastest."""
-    half = len(values) // 2
-    halves = slice(None, half), slice(half, None)
-    for number in range(2**values.ndim):
-        yield values[tuple(halves[number >> k & 1] for k in range(values.ndim))]
 
 
 def _size(node: Node) -> int:

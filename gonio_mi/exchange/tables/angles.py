@@ -37,9 +37,7 @@ def unit_questions(
     unclear = []
     for kind, (roles, most) in MAX_RADIANS.items():
         bare = [role for role in roles if role in picked and not picked[role].unit]
-        angles = np.abs(
-            np.concatenate([arrays[role] for role in bare] or [np.zeros(1)])
-        )
+        angles = np.abs(np.concatenate([[0.0], *(arrays[role] for role in bare)]))
         whole = (np.abs(angles - np.round(angles)) < ANGLE_ROUNDING).all()
         if not whole and angles.max() <= most:
             unclear.append((kind, bare[0], angles.max()))
