@@ -115,14 +115,12 @@ def _kind(path: Path) -> tuple[str, str]:
     # text with labels is told from heights by who reads it
     if name.endswith((".asc", ".dat")) and re.search(rb"(?m)^[^#\n]*[A-Za-z]{3}", head):
         return "unknown", ""
+    others = ((tuple(names.split()), "foreign", OTHERS[names]) for names in OTHERS)
     kinds = (
         (files.ENDINGS, "record", RECORD),
         (ask("exchange", "endings_of", lambda _: ())("scatter"), "table", MEASURED),
         (TABLES, "table", TABLE),
-        *(
-            (tuple(endings.split()), "foreign", text)
-            for endings, text in OTHERS.items()
-        ),
+        *others,
         (tuple(MESHES), "specimen", MESH),
         (height_maps.ENDINGS, "specimen", HEIGHTS),
     )
