@@ -22,18 +22,8 @@ from .heights import (
 )
 
 # The micro sign and the Greek letter are two characters.
-UNITS = {
-    "m": 1.0,
-    "cm": 1e-2,
-    "mm": 1e-3,
-    "um": 1e-6,
-    "µm": 1e-6,
-    "μm": 1e-6,
-    "nm": 1e-9,
-    "Å": 1e-10,
-    "pm": 1e-12,
-    "in": 0.0254,
-}
+UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3} | dict.fromkeys(("um", "µm", "μm"), 1e-6)
+UNITS |= {"nm": 1e-9, "Å": 1e-10, "pm": 1e-12, "in": 0.0254}
 
 
 def metres(unit: str) -> float:
@@ -118,26 +108,18 @@ class Topography:
         centred = heights - heights.mean()
         shape = ": the map is flat"
         if s.rms_height:
-            skewness, kurtosis = (
-                float(np.mean(centred**n)) / s.rms_height**n for n in (3, 4)
-            )
-            shape = f", skewness {skewness:.3g}, kurtosis {kurtosis:.3g}"
+            of = (float(np.mean(centred**n)) / s.rms_height**n for n in (3, 4))
+            shape = ", skewness {:.3g}, kurtosis {:.3g}".format(*of)
         (n_y, n_x), (x, y), (dx, dy) = heights.shape, self.extent, self.spacing
         joined = "joined at its borders" if self.periodic else "not joined"
+        extremes = f"{heights.min():.4g} to {heights.max():.4g}"
+        alphas = f"{s.alpha_u:.4g} x {s.alpha_v:.4g}"
         lines = [
             ("surface", self.source),
             ("points", f"{n_x} x {n_y}, {dx:.4g} x {dy:.4g} {unit} apart"),
             ("extent", f"{x:.4g} x {y:.4g} {unit}, {joined}"),
-            (
-                "heights",
-                f"{heights.min():.4g} to {heights.max():.4g} {unit}, rms "
-                f"{s.rms_height:.4g}{shape}",
-            ),
-            (
-                "slopes",
-                f"rms {_rms_slopes(s)} degrees, alpha {s.alpha_u:.4g} x "
-                f"{s.alpha_v:.4g}",
-            ),
+            ("heights", f"{extremes} {unit}, rms {s.rms_height:.4g}{shape}"),
+            ("slopes", f"rms {_rms_slopes(s)} degrees, alpha {alphas}"),
         ]
         if lengths := s.correlation_lengths:
             lines.append(("lengths", f"autocorrelation 1/e after {lengths} {unit}"))
@@ -213,11 +195,9 @@ class Topography:
             u, v = self._alphas_over(wavelength)
             # a slope that single precision leaves of heights is none
             rounding = 2 * ROUNDING * float(abs(self.heights).max()) / least
-            changed = (
-                abs(over - alpha) > max(MAX_ALPHA_CHANGE * alpha, rounding)
-                for over, alpha in ((u, s.alpha_u), (v, s.alpha_v))
-            )
-            if any(changed):
+            both = np.array([s.alpha_u, s.alpha_v])
+            limits = np.maximum(MAX_ALPHA_CHANGE * both, rounding)
+            if (abs(np.array([u, v]) - both) > limits).any():
                 found.append(
                     f"the facets of {self.source} are smaller than light, {least:.3g} "
                     f"{self.unit} at a wavelength of {shown}: this is geometric "
