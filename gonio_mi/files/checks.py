@@ -80,19 +80,12 @@ def check_seal(stream: BinaryIO) -> None:
 
 def check_record(record: Record) -> None:
     """Raise FileFormatError unless the parts of a record can be what they are."""
-    _check_angles(record.theta_i, record.phi_i)
+    for theta, phi in zip(record.theta_i.tolist(), record.phi_i.tolist()):
+        below = math.isnan(theta) or -BELOW_NORMAL <= theta < 90  # NaN is not known
+        require(below, f"its theta_i is {theta:g}, not in [0, 90) degrees")
+        require(math.isnan(phi) or abs(phi) <= MAX_AZIMUTH, f"its phi_i is {phi:g}")
     for tally in record.tallies:
         _check_tally(tally, record)
-
-
-def _check_angles(theta_i: np.ndarray, phi_i: np.ndarray) -> None:
-    """Raise FileFormatError unless light can come from there; NaN is not known."""
-    for theta, phi in zip(theta_i.tolist(), phi_i.tolist()):
-        require(
-            math.isnan(theta) or -BELOW_NORMAL <= theta < 90,
-            f"its theta_i is {theta:g}, not in [0, 90) degrees",
-        )
-        require(math.isnan(phi) or abs(phi) <= MAX_AZIMUTH, f"its phi_i is {phi:g}")
 
 
 def _check_tally(tally: Tally, record: Record) -> None:

@@ -63,6 +63,9 @@ INTEGRALS = {"errors": ("float64 uint64", 5)}
 ELEMENTS = {"elements": ("float64", 6)}
 COPIES = {"copies": ("int64", 2)}
 
+# Arrays that are of all batches together.
+WHOLE = ("hits", "errors")
+
 
 def write(record: Record, stream: BinaryIO) -> None:
     """Write `record` to a binary stream."""
@@ -88,7 +91,7 @@ def write(record: Record, stream: BinaryIO) -> None:
                 np.lib.format.write_array(file, array, allow_pickle=False)
         for name in tallies[0].arrays:
             parts = (getattr(tally, name) for tally in tallies)
-            if name in ("hits", "errors"):
+            if name in WHOLE:
                 parts = (part[None] for part in parts)
             with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
                 _write_joined(file, list(parts))
@@ -170,12 +173,8 @@ def _tallies(
     """Arrays of the tally of one incident direction after the other."""
     for n in n_batches:
         yield {
-            name: _numbers(
-                member,
-                shape[1:] if name in ("hits", "errors") else (n, *shape[1:]),
-                dtype,
-            )
-            for name, (member, shape, dtype) in opened.items()
+            name: _numbers(file, shape[1:] if name in WHOLE else (n, *shape[1:]), dtype)
+            for name, (file, shape, dtype) in opened.items()
         }
 
 

@@ -63,15 +63,9 @@ def write(fields: dict[str, Numbers], stream: BinaryIO) -> None:
     """Write a dictionary of arrays to a binary stream."""
     names = {name: name.encode() for name in fields}
     fields = {name: np.ascontiguousarray(array) for name, array in fields.items()}
-    place = (
-        len(MAGIC)
-        + 2
-        + 4
-        + sum(
-            2 + len(names[name]) + 2 + 1 + 8 + 8 * array.ndim
-            for name, array in fields.items()
-        )
-    )
+    place = len(MAGIC) + 2 + 4
+    for name, array in fields.items():
+        place += 2 + len(names[name]) + 2 + 1 + 8 + 8 * array.ndim
     head = MAGIC + bytes(VERSION) + struct.pack("<I", len(fields))
     body = b""
     for name, array in fields.items():
