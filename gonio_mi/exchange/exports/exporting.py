@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -34,13 +33,16 @@ POLARISED = (".csv", ".nc", ".h5")
 # Endings of files that have no place for transmitted light.
 REFLECTION_ONLY = (".bsdf", *endings_of("reflection_only"))
 
-# Fates whose flux no patch receives, and the fraction of all rays from which a warning
-# tells of them.
+# Rays whose flux no patch receives, or by an edge that may be none, and the fraction of
+# all rays from which a warning tells of them.
+NOWHERE = "; their flux is in no patch of the file"
 LOST_FATES = {
-    "sideways": "left sideways",
-    "astray": "went astray: a shape with a medium is open or overlaps another",
-    "truncated": "were truncated by max_depth or max_scatterings",
-    "invalid": "are invalid, by what the BSDF returned",
+    "sideways": f"left sideways{NOWHERE}",
+    "astray": "went astray: a shape with a medium is open or overlaps another"
+    + NOWHERE,
+    "truncated": f"were truncated by max_depth or max_scatterings{NOWHERE}",
+    "invalid": f"are invalid, by what the BSDF returned{NOWHERE}",
+    "over_the_edge": OVER_THE_EDGE,
 }
 MAX_LOST = 1e-3
 
@@ -119,7 +121,6 @@ def export(
             f"{records[0].provenance.variant}"
         )
     for one in records:
-        _warn_of_openings(one)
         _warn_of_lost_light(one)
     if ending not in _FORMATS:
         check_there("materials", f"a file {ending}")
@@ -139,8 +140,12 @@ def export(
 
     if Path(path).name.lower().endswith(ZEMAX):
         return write_zemax(records[0], path)
-    if ending in REFLECTION_ONLY:
-        _warn_of_transmission(records[0], ending)
+    dht = records[0].dht
+    if ending in REFLECTION_ONLY and dht is not None and dht.max() > 0:
+        warn(
+            f"a file {ending} holds reflection only: up to {dht.max():.2%} of the flux "
+            "was transmitted, and is not in it"
+        )
     if ending == ".bsdf":
         return write_measured(records[0], path, progress)
     if ending == ".binary":
@@ -148,42 +153,20 @@ def export(
     return write_grids(records[0], path)
 
 
-def _warn_of_openings(record: Record) -> None:
-    """Warn of light beside the specimen, or over its edges, that the file has not."""
+def _warn_of_lost_light(record: Record) -> None:
+    """Warn of flux that is in no patch, missed the specimen, or left over its edges."""
     ledger = record.ledger
-    over = ledger.over_the_edge / max(ledger.emitted, 1)
-    if record.provenance.edges == "open" and over > MAX_LOST:
-        warn(f"{over:.2%} of the rays {OVER_THE_EDGE}")
-    if not ledger.missed:
-        return
-    directions = summarize(record).directions
+    for row, words in LOST_FATES.items():
+        fraction = getattr(ledger, row) / max(ledger.emitted, 1)
+        counts = row != "over_the_edge" or record.provenance.edges == "open"
+        if counts and fraction > MAX_LOST:
+            warn(f"{fraction:.2%} of the rays {words}")
+    directions = summarize(record).directions if ledger.missed else []
     if any(direction.exceeds_error("missed") for direction in directions):
         warn(
             f"{ledger.missed / ledger.emitted:.2%} of the rays missed the specimen, "
             "and the file describes it as if it had neither openings nor edges: "
             "measure one cell of it with a period, or take a smaller footprint"
-        )
-
-
-def _warn_of_lost_light(record: Record) -> None:
-    """Warn of flux that left the specimen, or was given up, and is in no patch."""
-    ledger = record.ledger
-    for row, words in LOST_FATES.items():
-        fraction = ledger.rows[row] / max(ledger.emitted, 1)
-        if fraction > MAX_LOST:
-            warn(
-                f"{fraction:.2%} of the rays {words}; their flux is in no patch of the "
-                "file"
-            )
-
-
-def _warn_of_transmission(record: Record, ending: str) -> None:
-    """Warn of transmitted flux, which the file does not hold."""
-    most = 0.0 if record.dht is None else float(record.dht.max())
-    if most > 0:
-        warn(
-            f"a file {ending} holds reflection only: up to {most:.2%} of the flux was "
-            "transmitted, and is not in it"
         )
 
 
@@ -218,16 +201,14 @@ def _table(record: Record, quantity: str, number: int) -> MeasuredTable:
     if quantity == "btdf":
         theta = 180 - theta
     one_sigma = 0.6827
-    parts: dict[str, list[Floats]] = {"value": [], "sigma": []}
+    values, sigmas = [], []
     for one in record:
         low, high = one.interval(one_sigma, quantity)
         sigma = getattr(one, f"{quantity}_std_err")
         sigma = np.where(np.isnan(sigma), (high - low) / 2, sigma)
-        parts["value"].append(getattr(one, quantity)[known, number])
-        parts["sigma"].append(sigma[known, number])
-    columns: dict[str, Any] = {key: np.concatenate(of) for key, of in parts.items()}
-    if np.isnan(columns["sigma"]).any():
-        columns["sigma"] = None
+        values.append(getattr(one, quantity)[known, number])
+        sigmas.append(sigma[known, number])
+    sigma = np.concatenate(sigmas)
     exact = record.n_batches < 2 or all(one.binomial for one in record.estimates)
     return MeasuredTable(
         theta_i=np.clip(record.theta_i, 0, None).repeat(n),
@@ -240,7 +221,8 @@ def _table(record: Record, quantity: str, number: int) -> MeasuredTable:
         aperture_half_angle=record.subdivision.aperture_half_angle,
         emitter_half_angle=record.asked.divergence,
         header={"collector": str(record.subdivision)} | record.ray_keys,
-        **columns,
+        value=np.concatenate(values),
+        sigma=None if np.isnan(sigma).any() else sigma,
     )
 
 
