@@ -59,20 +59,16 @@ def check_seal(stream: BinaryIO) -> None:
     stream.seek(max(size - 2 * SEAL_LENGTH, 0))
     _, mark, seal = stream.read().rpartition(SEAL_MARK)
     stream.seek(0)
-    require(
-        bool(mark),
-        "it ends in no check sum: it is truncated or was not written by gonio-mi",
-    )
+    reason = "it ends in no check sum: it is truncated or was not written by gonio-mi"
+    require(bool(mark), reason)
     require(len(mark + seal) == SEAL_LENGTH, "it is truncated or longer than it was")
     length = size - SEAL_LENGTH
     digest = hashlib.sha256()
     while piece := stream.read(min(PIECE, length - stream.tell())):
         digest.update(piece)
     stream.seek(0)
-    require(
-        seal == digest.hexdigest().encode(),
-        "it is damaged: its content does not agree with its check sum",
-    )
+    reason = "it is damaged: its content does not agree with its check sum"
+    require(seal == digest.hexdigest().encode(), reason)
 
 
 # ------------------------------------------------------------------------ records
@@ -101,10 +97,8 @@ def _check_tally(tally: Tally, record: Record) -> None:
         f"{'there' if integrated else 'missing'}",
     )
     for name in tally.arrays:
-        require(
-            float(np.abs(getattr(tally, name)).sum(dtype=float)) < 2.0**64,
-            f"its {name} add up to more than 64 bits hold",
-        )
+        reason = f"its {name} add up to more than 64 bits hold"
+        require(float(np.abs(getattr(tally, name)).sum(dtype=float)) < 2.0**64, reason)
     ledger = tally.ledger
     require(
         bool(ledger.direct) or not tally.direct.any(), "it has direct light of no ray"
@@ -113,19 +107,15 @@ def _check_tally(tally: Tally, record: Record) -> None:
         left = (ledger.reflected, ledger.transmitted + ledger.direct)
         for hits, listed in zip(tally.hits, left):
             counted = int(hits.sum())
-            require(
-                counted == listed,
-                f"its patches received {counted} rays and its ledger says {listed}",
-            )
+            reason = f"its patches received {counted} rays and its ledger says {listed}"
+            require(counted == listed, reason)
         if not integrated:
             empty = tally.sums[:, tally.hits == 0]
             require(not empty.any(), "patches without a hit received light")
     met = ledger.emitted - ledger.missed - ledger.unlit
     incident = tally.incident.sum(axis=0, dtype=float)
-    require(
-        not (met or integrated) or bool((incident > 0).all()),
-        "it received light of an incident power of 0",
-    )
+    reason = "it received light of an incident power of 0"
+    require(not (met or integrated) or bool((incident > 0).all()), reason)
     rays, passes = record.provenance.rays, record.provenance.passes
     goal = record.asked.precision or record.asked.noise
     if goal is None and rays is not None:

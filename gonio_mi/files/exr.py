@@ -134,10 +134,8 @@ def read(stream: BinaryIO, added_up: bool = False) -> Record:
     check_format(header)
     per_batch = {key: _tables(header, key) for key in ("fates", "incident", "direct")}
     fates, incident = per_batch["fates"], per_batch["incident"]
-    require(
-        all(len(arrays) == len(fates) > 0 for arrays in per_batch.values()),
-        "its numbers of directions differ",
-    )
+    reason = "its numbers of directions differ"
+    require(all(len(arrays) == len(fates) > 0 for arrays in per_batch.values()), reason)
     channels = header.get("channels")
     require(isinstance(channels, list), "its entry channels is not a list")
     names = layer_names(list(map(str, channels)))
@@ -157,10 +155,8 @@ def read(stream: BinaryIO, added_up: bool = False) -> Record:
 
     n = len(fates)
     record = rebuilt(header, map(arrays_of, range(n)), n, added_up)
-    require(
-        first.get("gonio.sha256") == digest.hexdigest(),
-        "it is damaged: its content does not agree with its check sum",
-    )
+    reason = "it is damaged: its content does not agree with its check sum"
+    require(first.get("gonio.sha256") == digest.hexdigest(), reason)
     return record
 
 

@@ -130,10 +130,8 @@ def read(stream: BinaryIO, added_up: bool = False) -> Record:
         members = {info.filename: info for info in archive.infolist()}
         require("format.npy" in members, "it was not written by gonio-mi")
         announced = sum(info.file_size for info in archive.infolist())
-        require(
-            announced <= MAX_EXPANSION * size,
-            f"it announces {announced} bytes, more than {size} bytes can hold",
-        )
+        reason = f"it announces {announced} bytes, more than {size} bytes can hold"
+        require(announced <= MAX_EXPANSION * size, reason)
         header = {name: _array(archive, members, name, HEADER) for name in HEADER}
         header = {name: array.tolist() for name, array in header.items()}
         header["settings"] = parsed_json(header["settings"])
@@ -188,16 +186,12 @@ def _with_copies(
     """Record of the directions in the file and of the copies that it leaves out."""
     n, n_sectors = len(copies), parsed_subdivision(header).shape[1]
     of_each = ("theta_i", "phi_i", "scales")
-    require(
-        all(len(header[name]) == n for name in of_each),
-        "its copies are not of its incident directions",
-    )
+    reason = "its copies are not of its incident directions"
+    require(all(len(header[name]) == n for name in of_each), reason)
     source, by, mirrored = copies.T
     own = np.flatnonzero(source == np.arange(n))
-    require(
-        len(own) == n_own and bool(np.isin(source, own).all()),
-        "its copies are not of directions that it holds",
-    )
+    reason = "its copies are not of directions that it holds"
+    require(len(own) == n_own and bool(np.isin(source, own).all()), reason)
     require(
         bool(((by >= 0) & (by < n_sectors) & (mirrored >= 0) & (mirrored < 2)).all()),
         "its copies are moved in no way that there is",

@@ -100,10 +100,8 @@ def read(stream: BinaryIO) -> dict[str, Numbers]:
         require(kind in TYPES, f"its field {name:.40} has the unknown type {kind}")
         shape = _numbers(stream, f"<{n_axes}Q")
         n_bytes = math.prod(shape) * np.dtype(TYPES[kind]).itemsize
-        require(
-            place + n_bytes <= size,
-            f"its field {name:.40} of shape {shape} does not fit into {size} bytes",
-        )
+        reason = f"its field {name:.40} of shape {shape} does not fit into {size} bytes"
+        require(place + n_bytes <= size, reason)
         headers[name] = place, n_bytes, TYPES[kind], shape
     fields = {}
     for name, (place, n_bytes, kind, shape) in headers.items():
@@ -166,10 +164,8 @@ def _check_shapes(fields: dict[str, NDArray[np.generic]]) -> None:
         )
         for axis, size in zip(axes, field.shape):
             least = 2 if axis.endswith(INTERPOLATED) else axis != "letters"
-            require(
-                size == sizes.setdefault(axis, size) and size >= least,
-                f"its field {name} of shape {field.shape} does not fit the others",
-            )
+            reason = f"its field {name} of shape {field.shape} does not fit the others"
+            require(size == sizes.setdefault(axis, size) and size >= least, reason)
 
 
 def _check_values(fields: dict[str, NDArray[np.generic]]) -> None:

@@ -88,10 +88,8 @@ class Lines:
     def numbers(self, n: int, text: str | None = None) -> Floats:
         """Numbers of the next line, or of a `text` of this one: `n` of them."""
         cells = (self.row() if text is None else text).replace(",", " ").split()
-        require(
-            len(cells) == n,
-            f"line {self.number} must have {n} numbers, got {len(cells)}",
-        )
+        reason = f"line {self.number} must have {n} numbers, got {len(cells)}"
+        require(len(cells) == n, reason)
         try:
             return np.array([decimal(cell) for cell in cells], dtype=float)
         except ValueError as error:

@@ -76,10 +76,8 @@ def _rows(stream: BinaryIO) -> tuple[Floats, dict[str, str]]:
         require(key in metadata, f"its metadata lack {key}")
     for key, pattern in PATTERNS.items():
         text = metadata[key]
-        require(
-            isinstance(text, str) and re.fullmatch(pattern, text),
-            f"its {key} does not match the format, got {text!r:.60}",
-        )
+        reason = f"its {key} does not match the format, got {text!r:.60}"
+        require(isinstance(text, str) and re.fullmatch(pattern, text), reason)
     table = _table(brdf.get("lookupTable"))
     listed: Any = brdf.get("wavelengths")
     good = isinstance(listed, list) and all(type(nm) in (int, float) for nm in listed)

@@ -295,10 +295,8 @@ def _data(
     text = block.findtext("ScatteringData", "")
     if structure in STRUCTURES:
         name = block.findtext("AngleBasis", "").strip()
-        require(
-            name == SHIRLEY_CHIU,
-            f"its AngleBasis must be {SHIRLEY_CHIU}, got {name!r:.40}",
-        )
+        reason = f"its AngleBasis must be {SHIRLEY_CHIU}, got {name!r:.40}"
+        require(name == SHIRLEY_CHIU, reason)
         return TensorTree.parsed(text, STRUCTURES[structure])
     known = ", ".join(KLEMS_BASES)
     tags = "ColumnAngleBasis", "RowAngleBasis"
@@ -317,10 +315,8 @@ def _data(
         values = np.array([decimal(word) for word in words]).reshape(n, n)
     except ValueError as error:
         raise FileFormatError(f"{direction}: {error}") from None
-    require(
-        bool(np.isfinite(values).all()) and values.min() >= 0,
-        f"{direction} holds a value that is negative or not finite",
-    )
+    reason = f"{direction} holds a value that is negative or not finite"
+    require(bool(np.isfinite(values).all()) and values.min() >= 0, reason)
     return values.T if structure == "Rows" else values
 
 
@@ -372,10 +368,8 @@ class RadianceBSDF:
             self.channels, self._names = ("Y",), ("Visible",)
         for wavelength, direction in self.blocks:
             missing = [n for n in self._names if (n, direction) not in self.blocks]
-            require(
-                wavelength == "Solar" or not missing,
-                f"its {direction} lacks {', '.join(missing)}",
-            )
+            reason = f"its {direction} lacks {', '.join(missing)}"
+            require(wavelength == "Solar" or not missing, reason)
 
     def holds(self, side: str, hemisphere: int) -> bool:
         """Whether there is reflection (0) or transmission (1) of a lit face."""

@@ -74,10 +74,8 @@ class Block:
         require(
             np.ptp(self.azimuth) <= 360 * (1 + 1e-9), "its azimuths exceed a full turn"
         )
-        require(
-            self.values.shape[:2] == (len(self.polar), len(self.azimuth)),
-            "a block of its values has another shape than its angles",
-        )
+        reason = "a block of its values has another shape than its angles"
+        require(self.values.shape[:2] == (len(self.polar), len(self.azimuth)), reason)
         require(bool(np.isfinite(self.values).all()), "a value is not finite")
         require(float(np.abs(self.values).max()) < 1e30, "a value is absurdly large")
         require(0 <= self.theta_i <= 90, f"its angle of incidence is {self.theta_i:g}")
@@ -196,10 +194,8 @@ class Scatter:
 
     def __post_init__(self) -> None:
         require(len(self.blocks) > 0, "it has no values")
-        require(
-            all(block.theta_i < 90 for block in self.blocks),
-            "it has an incidence of 90 degrees, where no light comes",
-        )
+        reason = "it has an incidence of 90 degrees, where no light comes"
+        require(all(block.theta_i < 90 for block in self.blocks), reason)
         keys = [(b.hemisphere, b.phi_i, b.theta_i) for b in self.blocks]
         require(len(set(keys)) == len(keys), "it has an incident direction twice")
         # an azimuth of 360 is that of 0 again
@@ -305,10 +301,8 @@ def scatter_means(scatter: Scatter, patches: Subdivision | None = None) -> Patch
     held = [h for h in (0, 1) if scatter.of(h)]
     by_angles = {(b.hemisphere, b.theta_i, b.phi_i): b for b in scatter.blocks}
     incident = sorted({key[1:] for key in by_angles}, key=lambda pair: pair[::-1])
-    require(
-        len(by_angles) == len(held) * len(incident),
-        "it tells reflection and transmission for different incident directions",
-    )
+    reason = "it tells reflection and transmission for different incident directions"
+    require(len(by_angles) == len(held) * len(incident), reason)
     shape = len(incident), max(held) + 1, *patches.shape, len(scatter.channels)
     means, points = np.zeros(shape), patches.points(POINTS)
     for (hemisphere, *pair), block in by_angles.items():

@@ -51,10 +51,8 @@ def _opened(stream: BinaryIO) -> tuple[Lines, str, str]:
         known = decimal(version) >= FIRST_VERSION
     except ValueError:
         known = False
-    require(
-        known,
-        f"it has the version {version:.10}: save it anew with Speos's BSDF viewer",
-    )
+    reason = f"it has the version {version:.10}: save it anew with Speos's BSDF viewer"
+    require(known, reason)
     require(rows.row().strip()[:1] == "0", BINARY)
     comment = rows.row().strip()
     rows.skip(rows.whole(1)[0])

@@ -80,14 +80,10 @@ class TensorTree:
                 stack.append(_grid(words, rank) if words else [])
                 continue
             node = stack.pop()
-            require(
-                not words and bool(stack) and isinstance(stack[-1], list),
-                "its tensor tree has values or braces out of place",
-            )
-            require(
-                not isinstance(node, list) or len(node) == 2**rank,
-                f"a branch of its tensor tree must have {2**rank} children",
-            )
+            reason = "its tensor tree has values or braces out of place"
+            require(not words and bool(stack) and isinstance(stack[-1], list), reason)
+            reason = f"a branch of its tensor tree must have {2**rank} children"
+            require(not isinstance(node, list) or len(node) == 2**rank, reason)
             stack[-1].append(node)
         require(len(stack) == 1 and len(stack[0]) == 1, "its tensor tree is not closed")
         return cls(rank, stack[0][0])
@@ -178,10 +174,8 @@ def _text(node: Node) -> str:
 def _grid(words: Sequence[str], rank: int) -> Floats:
     """Grid of the values of a leaf."""
     size = round(len(words) ** (1 / rank))
-    require(
-        size**rank == len(words) and size & (size - 1) == 0,
-        f"a grid of its tensor tree must have 2^{rank}k values, got {len(words)}",
-    )
+    reason = f"a grid of its tensor tree must have 2^{rank}k values, got {len(words)}"
+    require(size**rank == len(words) and size & (size - 1) == 0, reason)
     try:
         values = np.array([decimal(word) for word in words])
     except ValueError as error:
