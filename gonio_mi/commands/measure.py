@@ -185,14 +185,14 @@ def _run(options: Namespace, orders: Sequence[str] = ()) -> int:
         warnings.simplefilter("ignore", LostLightWarning)
         measured = _measured(specimen, options, orders, settings)
         ctrl_c.ignored = True
-        records = measured if orders else {"": measured}
-        outputs = [
-            [_order_path(path, one) for path in options.output] for one in records
-        ]
-        unsaved = list(map(_save, records.values(), outputs))
-        for record, output in zip(records.values(), outputs):
-            code = max(code, _finish(record, options, output, ctrl_c.pressed))
-        if any(unsaved):
+        records: dict[str, Record] = measured if orders else {"": measured}
+        of_order = {
+            one: [_order_path(p, one) for p in options.output] for one in records
+        }
+        unsaved = [p for one in records for p in _save(records[one], of_order[one])]
+        for one, record in records.items():
+            code = max(code, _finish(record, options, of_order[one], ctrl_c.pressed))
+        if unsaved:
             code = USER_ERROR
         parts.finished = code != USER_ERROR
     return code

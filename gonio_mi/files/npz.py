@@ -132,8 +132,10 @@ def read(stream: BinaryIO, added_up: bool = False) -> Record:
         announced = sum(info.file_size for info in archive.infolist())
         reason = f"it announces {announced} bytes, more than {size} bytes can hold"
         require(announced <= MAX_EXPANSION * size, reason)
-        header = {name: _array(archive, members, name, HEADER) for name in HEADER}
-        header = {name: array.tolist() for name, array in header.items()}
+        header: dict[str, Any] = {}
+        for name in HEADER:
+            member = _opened(archive, members, name, HEADER)
+            header[name] = _numbers(*member).tolist()
         header["settings"] = parsed_json(header["settings"])
         check_format(header)
         expected = TALLIES | (INTEGRALS if "errors.npy" in members else {})
@@ -144,7 +146,8 @@ def read(stream: BinaryIO, added_up: bool = False) -> Record:
             members.keys() == known and len(archive.infolist()) == len(known),
             "its arrays are not those of a record",
         )
-        n_batches = _array(archive, members, "n_batches", expected).tolist()
+        batches = _opened(archive, members, "n_batches", expected)
+        n_batches = _numbers(*batches).tolist()
         shapes = _shapes(header, n_batches)
         opened = {
             name: _opened(archive, members, name, expected, shapes[name])
@@ -228,16 +231,6 @@ def _shapes(
         "fates": (total, None),
         "copies": (None, 3),
     }
-
-
-def _array(
-    archive: zipfile.ZipFile,
-    members: dict[str, zipfile.ZipInfo],
-    name: str,
-    expected: dict[str, tuple[str, int]],
-) -> Numbers:
-    """Array of that name, once its header agrees with its type, size and shape."""
-    return _numbers(*_opened(archive, members, name, expected))
 
 
 def _opened(

@@ -190,13 +190,10 @@ def _label_grid(axes: Axes) -> None:
         x, y = math.cos(math.radians(phi)), math.sin(math.radians(phi))
         axes.plot([x, 1.025 * x], [y, 1.025 * y], c="0.2", lw=0.8)
         if phi % 90 == 0:
-            axes.annotate(
-                r"$\varphi_o$ = 0°" if phi == 0 else f"{phi}°",
-                (1.05 * x, 1.05 * y),
-                size="small",
-                ha=("left", "center", "right", "center")[phi // 90],
-                va=("center", "bottom", "center", "top")[phi // 90],
-            )
+            text = r"$\varphi_o$ = 0°" if phi == 0 else f"{phi}°"
+            ha = ("left", "center", "right", "center")[phi // 90]
+            va = ("center", "bottom", "center", "top")[phi // 90]
+            axes.annotate(text, (1.05 * x, 1.05 * y), size="small", ha=ha, va=va)
 
 
 def border_note(single: Record) -> str:

@@ -260,10 +260,8 @@ def plane_text(single: Record) -> str:
     if not beside:
         return text
     drawn = " and ".join(f"{begin:.4g}° to {end:.4g}°" for begin, end in beside)
-    return (
-        f"{text}\nThis is a border of sectors: drawn are those of "
-        rf"$\varphi_o$ = {drawn}"
-    )
+    border = r"This is a border of sectors: drawn are those of $\varphi_o$ ="
+    return f"{text}\n{border} {drawn}"
 
 
 def _scale(axes: "Axes", positive: Floats, limits: Floats) -> None:

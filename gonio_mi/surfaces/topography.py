@@ -143,7 +143,14 @@ class Topography:
                 f"{s.alpha_u:.3g} x {s.alpha_v:.3g}, an rms slope of {degrees:.4g} "
                 "degrees: heights and size must be in one unit; see scale, range, size"
             )
-        found += self._steps()
+        if steps := self._slope_steps():
+            unit = "" if self.unit is None else f" {self.unit}"
+            found.append(
+                f"the heights of {self.source} come in steps of {self.step:.3g}{unit}, "
+                f"and slopes in steps of {steps[0]:.3g}, which is {steps[1]}: smooth "
+                "facets send light to other patches than those of the surface would; "
+                "take 16 bits or floats, smooth the heights, or make it of a rough BSDF"
+            )
         if self.unit in UNITS:
             found += self._waves(s, VISIBLE / UNITS[self.unit])
         return found
@@ -172,19 +179,6 @@ class Topography:
         if self.step is None or slope < MAX_SLOPE_STEP * rms:
             return None
         return slope, f"{100 * slope / rms:.3g} % of the rms slope"
-
-    def _steps(self) -> list[str]:
-        """What heights of few bits do to slopes."""
-        steps = self._slope_steps()
-        if steps is None:
-            return []
-        unit = "" if self.unit is None else f" {self.unit}"
-        return [
-            f"the heights of {self.source} come in steps of {self.step:.3g}{unit}, and "
-            f"slopes in steps of {steps[0]:.3g}, which is {steps[1]}: smooth facets "
-            "send light to other patches than those of the surface would; take 16 bits "
-            "or floats, smooth the heights, or make it of a rough BSDF"
-        ]
 
     def _waves(self, s: HeightStatistics, wavelength: float) -> list[str]:
         """What geometric optics leaves out at a wavelength in scene units."""
@@ -344,15 +338,10 @@ def topography(given: HeightMap, wanted: Preparation = AS_GIVEN) -> Topography:
     joined = given.periodic if wanted.periodic is None else wanted.periodic
     joined = True if joined is None else joined
     n_y, n_x = (n if joined else n - 1 for n in heights.shape)
-    return Topography(
-        heights,
-        wanted.spacing(given, (n_x, n_y)),
-        joined,
-        ", ".join(done),
-        wanted.unit_of(given),
-        None if step is None else abs(factor) * step,
-        given.spacing is None and wanted.size is None,
-    )
+    step = None if step is None else abs(factor) * step
+    taken = given.spacing is None and wanted.size is None
+    spacing, unit = wanted.spacing(given, (n_x, n_y)), wanted.unit_of(given)
+    return Topography(heights, spacing, joined, ", ".join(done), unit, step, taken)
 
 
 # Levels up to which steps are made on purpose: gratings, diffractive optics.

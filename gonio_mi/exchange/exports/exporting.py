@@ -9,7 +9,6 @@ import numpy as np
 
 from ...annexes import check_there
 from ...array_types import Floats
-from ...collector.hemisphere import Subdivision
 from ...errors import SettingError, checked_choice, warn
 from ...files import check_output, netcdf, replacing
 from ...files.measured_table import MeasuredTable
@@ -173,23 +172,15 @@ def _warn_of_lost_light(record: Record) -> None:
 def _csv(record: Record, path: str | PathLike[str]) -> list[Loss]:
     """One table for each quantity and channel."""
     fractions = np.zeros_like(fractions_of(record))
+    known = np.isfinite(record.subdivision.middles[0])
+    projected = record.subdivision.projected_solid_angles[known]
     for (hemisphere, number), name in part_names(record, path).items():
         quantity = ("brdf", "btdf")[hemisphere]
         table = _table(record, quantity, number)
         table.save(name, _elements(record, quantity, number))
-        written = _in_patches(read_measured(name), record.subdivision)
-        fractions[:, hemisphere, ..., number] = written
+        written = read_measured(name).value.reshape(len(record), -1)
+        fractions[:, hemisphere, known, number] = written * projected
     return losses(record, fractions)
-
-
-def _in_patches(table: MeasuredTable, patches: Subdivision) -> Floats:
-    """Flux fractions of a table of middles, shape ``(n_incident, n_theta, n_phi)``."""
-    known = np.isfinite(patches.middles[0])
-    projected = patches.projected_solid_angles
-    values = table.value.reshape(-1, int(known.sum()))
-    fractions = np.zeros((len(values), *projected.shape))
-    fractions[:, known] = values * projected[known]
-    return fractions
 
 
 def _table(record: Record, quantity: str, number: int) -> MeasuredTable:

@@ -12,12 +12,12 @@ from ...collector.directions import angles
 from ...collector.hemisphere import Subdivision
 from ...collector.klems import KLEMS
 from ...collector.shirley_chiu import ShirleyChiu
-from ...errors import SettingError, abridged, checked_choice, warn
+from ...errors import SettingError, abridged, warn
 from ...files import replacing
 from ...materials.resampling import Material, resampled, specular_peaks
 from ...results.record import XYZ, Record, fractions_of
 from ..formats import radiance, radiance_material
-from ..formats.radiance import BASES, RANKS, Product, RadianceBSDF
+from ..formats.radiance import RANKS, Product, RadianceBSDF
 from ..formats.tensor_tree import TensorTree, isotropic_incidence
 from .daylight import VISIBLE, lit_by, of_daylight
 from .loss import Loss, check_channels, losses
@@ -78,7 +78,6 @@ def write_radiance(
         specimens, for `tensor3` if the record has several azimuths of incidence or
         colours, or if its incident directions are no grid.
     """
-    checked_choice("basis", basis, BASES)
     _check_sides(records)
     _check_sides(solar)
     records, solar = of_daylight(records, solar)

@@ -228,22 +228,17 @@ class Scatter:
             incident = np.full((2, len(theta)), [[block.theta_i], [block.phi_i]])
             angles.append(np.stack([*incident, theta, phi]))
             values.append(of_block)
-        return Points(
-            np.concatenate(angles, axis=1).T,
-            np.concatenate(values),
-            self.channels,
-            self.header,
-            (*self.notes, *self._totals(hemisphere)),
-        )
+        of_all = np.concatenate(angles, axis=1).T, np.concatenate(values)
+        notes = *self.notes, *self._totals(hemisphere)
+        return Points(*of_all, self.channels, self.header, notes)
 
     def _totals(self, hemisphere: int) -> list[str]:
         """Sentence on the totals that the file states beside those of its values."""
-        ratios = [
-            ratio
-            for block in self.of(hemisphere)
-            if block.total is not None
-            for ratio in total_of(block)[block.total > 0] / block.total[block.total > 0]
-        ]
+        ratios: list[float] = []
+        for block in self.of(hemisphere):
+            if block.total is not None:
+                lit = block.total > 0
+                ratios += (total_of(block)[lit] / block.total[lit]).tolist()
         if not ratios:
             return []
         low, high = min(ratios), max(ratios)

@@ -397,8 +397,8 @@ class _Reading:
         if n_left == len(at_90):
             raise FileFormatError(f"{self.place} has no row below 90 degrees")
         if n_left:
-            what = f"{n_left} of {number_of(len(at_90), 'row')}, at 90 degrees"
-            self.notes.append(f"{what}, left out")
+            rows = number_of(len(at_90), "row")
+            self.notes.append(f"{n_left} of {rows}, at 90 degrees, left out")
         self.lines = self.lines[~at_90]
         return {n: one[~at_90] for n, one in columns.items() if one is not None}
 
@@ -426,10 +426,9 @@ class _Reading:
             source = "their name" if column.quantity else "the title"
             self.notes.append(f"the values are {found}, as {source} says")
         elif self.own and not found:
-            found = "brdf"
+            found, taken = "brdf", "taken as brdf in 1/sr, without cosine"
             self.notes.append(
-                "no quantity is stated: taken as brdf in 1/sr, without cosine; "
-                "--quantity sets another"
+                f"no quantity is stated: {taken}; --quantity sets another"
             )
         elif not found:
             self.questions.append(_quantity_question(name))
@@ -464,20 +463,16 @@ class _Reading:
             return {"value": values, "sigma": sigma}
         coverage = self._coverage(column)
         name, sigma = column.name.strip(), sigma / coverage
+        its = f"the uncertainty {name!r:.40}"
+        say = f"say --columns sigma='{name}"
         if np.isnan(coverage):
-            self.questions.append(
-                f"the uncertainty {name!r:.40} may be expanded: give its name the "
-                f"factor, such as k=2, or say --columns sigma='{name}' if it is "
-                "standard"
-            )
+            factor = "may be expanded: give its name the factor, such as k=2"
+            self.questions.append(f"{its} {factor}, or {say}' if it is standard")
         both = column.unit in ("%", "1") and unit == column.unit
         if column.kind == "?" or (both and not column.kind):
-            those = f" and the values are in {unit}" if both else " may be in %"
-            self.questions.append(
-                f"the uncertainty {name!r:.40}{those}: say "
-                f"--columns sigma='{name}:rel' if it is relative to each value (or "
-                ":abs)"
-            )
+            those = f"and the values are in {unit}" if both else "may be in %"
+            relative = ":rel' if it is relative to each value (or :abs)"
+            self.questions.append(f"{its} {those}: {say}{relative}")
         kind = column.kind or ("rel" if column.unit in ("%", "1") else "abs")
         own = PARTS.get(column.unit, 1.0)
         if kind == "rel":

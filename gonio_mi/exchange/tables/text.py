@@ -4,6 +4,7 @@ Tabs, semicolons, commas or blanks between the cells; commas or points in the nu
 a byte-order mark; comments; lines of a title above the names of the columns.
 """
 
+import contextlib
 import csv
 import io
 import re
@@ -214,16 +215,15 @@ def _best_names(
 
     One that cuts the line into as many cells as the first row, if there is one, wins.
     """
-    scored = []
+    best = False, 0, 0, 0, ","
     for order, delimiter in enumerate(DELIMITERS):
         n_cells = [len(cut(text, delimiter)) for _, text in row]
         for number, text in candidates:
             cells = cut(text, delimiter)
             n_known = sum(map(known, cells))
             fits = n_known > 0 and len(cells) > 1 and [len(cells)] == n_cells
-            scored.append((fits, n_known, -order, number, delimiter))
-    _, n_known, _, number, delimiter = max(scored, default=(False, 0, 0, 0, ","))
-    return n_known, number, delimiter
+            best = max(best, (fits, n_known, -order, number, delimiter))
+    return best[1], best[3], best[4]
 
 
 def decoded(path: str | PathLike[str]) -> str:
@@ -232,12 +232,10 @@ def decoded(path: str | PathLike[str]) -> str:
     marks = (b"\xff\xfe", b"\xfe\xff")
     encodings = ("utf-16",) if content.startswith(marks) else ("utf-8-sig", "cp1252")
     for encoding in encodings:
-        try:
+        with contextlib.suppress(ValueError):
             text = content.decode(encoding)
-        except ValueError:
-            continue
-        if not re.search(r"[\0-\x08\x0e-\x1f\x7f-\x9f]", text):
-            return text.replace("\N{MINUS SIGN}", "-")
+            if not re.search(r"[\0-\x08\x0e-\x1f\x7f-\x9f]", text):
+                return text.replace("\N{MINUS SIGN}", "-")
     raise FileFormatError(f"{path} is no table of values: it is not text")
 
 
