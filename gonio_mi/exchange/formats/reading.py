@@ -85,10 +85,8 @@ def _named(place: object) -> Iterator[None]:
     """Context in which errors carry the name of the file."""
     try:
         yield
-    except FileFormatError as error:
-        raise FileFormatError(f"{place}: {error}") from None
     except SettingError as error:
-        raise SettingError(f"{place}: {error}") from None
+        raise type(error)(f"{place}: {error}") from None
 
 
 def read_scatter(path: str | PathLike[str]) -> Scatter:
