@@ -134,9 +134,9 @@ class Parser(argparse.ArgumentParser):
         if not getattr(found, "json", False):
             return
         alone = (getattr(found, a.dest, None) for a in self._get_positional_actions())
-        for word in (*alone, *rest):
-            named = isinstance(word, str) and word.endswith(".json")
-            if named and (word in rest or not Path(word).is_file()):
+        words = [word for word in (*alone, *rest) if isinstance(word, str)]
+        for word in (one for one in words if one.endswith(".json")):
+            if word in rest or not Path(word).is_file():
                 said = f"write --json > {word}"
                 self.error(f"--json takes no file, for it prints: {said}")
 
