@@ -119,7 +119,5 @@ def _check_tally(tally: Tally, record: Record) -> None:
     rays, passes = record.provenance.rays, record.provenance.passes
     goal = record.asked.precision or record.asked.noise
     if goal is None and rays is not None:
-        require(
-            ledger.emitted <= rays * passes,
-            f"its ledger holds {ledger.emitted} rays of {rays} x {passes} asked for",
-        )
+        held = f"its ledger holds {ledger.emitted} rays of {rays} x {passes} asked for"
+        require(ledger.emitted <= rays * passes, held)

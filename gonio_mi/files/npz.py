@@ -142,10 +142,8 @@ def read(stream: BinaryIO, added_up: bool = False) -> Record:
         expected |= ELEMENTS if "elements.npy" in members else {}
         expected |= COPIES if header["version"] == VERSION_OF_COPIES else {}
         known = {f"{name}.npy" for name in HEADER | expected}
-        require(
-            members.keys() == known and len(archive.infolist()) == len(known),
-            "its arrays are not those of a record",
-        )
+        own = members.keys() == known and len(archive.infolist()) == len(known)
+        require(own, "its arrays are not those of a record")
         batches = _opened(archive, members, "n_batches", expected)
         n_batches = _numbers(*batches).tolist()
         shapes = _shapes(header, n_batches)
@@ -195,10 +193,8 @@ def _with_copies(
     own = np.flatnonzero(source == np.arange(n))
     reason = "its copies are not of directions that it holds"
     require(len(own) == n_own and bool(np.isin(source, own).all()), reason)
-    require(
-        bool(((by >= 0) & (by < n_sectors) & (mirrored >= 0) & (mirrored < 2)).all()),
-        "its copies are moved in no way that there is",
-    )
+    moved = (by >= 0) & (by < n_sectors) & (mirrored >= 0) & (mirrored < 2)
+    require(moved.all(), "its copies are moved in no way that there is")
     held = {name: [header[name][number] for number in own] for name in of_each}
     record = rebuilt(header | held, content, n_own, added_up)
     place = np.searchsorted(own, source).tolist()

@@ -26,11 +26,8 @@ VERSION = (1, 0)
 ALIGNMENT = 8
 
 # Numbers of the types, in the order of Mitsuba's `Struct`.
-TYPES = dict(
-    enumerate(
-        ["u1", "i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8", "<f2", "<f4", "<f8"], 1
-    )
-)
+NAMES = "u1 i1 <u2 <i2 <u4 <i4 <u8 <i8 <f2 <f4 <f8"
+TYPES = dict(enumerate(NAMES.split(), 1))
 NUMBERS = {np.dtype(name): number for number, name in TYPES.items()}
 
 # More than any material has.

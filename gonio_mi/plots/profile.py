@@ -358,11 +358,8 @@ def drawn_in_rings(
     """
     if not isinstance(patches, ShirleyChiu):
         return patches.in_rings(values)
-    theta, phi = (
-        tuple(map(float, range(0, end + FINE_STEP_DEG, FINE_STEP_DEG)))
-        for end in (90, 360)
-    )
-    fine = Borders(theta, phi)
+    steps = tuple(map(float, range(0, 360 + FINE_STEP_DEG, FINE_STEP_DEG)))
+    fine = Borders(steps[: 90 // FINE_STEP_DEG + 1], steps)
     index = patches.patch(direction(*fine.middles))
     flat = values.reshape(*values.shape[:-3], -1, values.shape[-1])
     return fine, flat[..., index, :]

@@ -160,11 +160,9 @@ def notebook_view(record: Record) -> str:
     """
     summary = summarize(record)
     warnings = "".join(f"<p>Warning: {html.escape(w)}</p>" for w in summary.warnings)
-    shown = picture_and_text(
-        lambda: sheet(record) if len(record) > 1 else plot(record),
-        summary_text(replace(summary, warnings=[])),
-        "numbers",
-    )
+    text = summary_text(replace(summary, warnings=[]))
+    draw = sheet if len(record) > 1 else plot
+    shown = picture_and_text(lambda: draw(record), text, "numbers")
     return f"<p><code>{html.escape(repr(record))}</code></p>{warnings}{shown}"
 
 

@@ -39,7 +39,7 @@ def read(path: str, formats: Sequence[str]) -> tuple[dict[str, Any], Any]:
 
     Row 0 of the heights is the first of the file. Whatever is wrong raises ValueError.
     """
-    said: Exception | None = None
+    first: Exception | None = None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -47,10 +47,10 @@ def read(path: str, formats: Sequence[str]) -> tuple[dict[str, Any], Any]:
                 try:
                     return _tiff(path) if name == "tiff" else _map(path, name)
                 except Exception as error:
-                    said = said or error
+                    first = first or error
                     if isinstance(error, (MemoryError, LabelsError)):
                         raise
-            raise said or ValueError("no format was asked for")
+            raise first or ValueError("no format was asked for")
     except MemoryError:
         raise ValueError("it asks for more memory than such a file can fill") from None
     except Exception as error:  # the library's readers raise anything

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -145,7 +146,7 @@ def gaussian_heights(
 
 
 def _expected_alphas(
-    power: Floats, k_x: Floats, k_y: Floats, n_x: int, spacing: float
+    power: Floats, k_x: Any, k_y: Any, n_x: int, spacing: float
 ) -> Floats:
     """Both alphas of unit white noise that is filtered with `power`, in expectation.
 

@@ -219,10 +219,9 @@ class Topography:
             lag = min(max(1.0, length / step), n - 1.0)
             whole, part = int(lag), lag % 1
             behind = np.arange(n if self.periodic else n - math.ceil(lag))
-            here, low, high = (
-                self.heights.take(behind + i, axis, mode="wrap")
-                for i in (0, whole, math.ceil(lag))
-            )
+            lags = (0, whole, math.ceil(lag))
+            take = self.heights.take
+            here, low, high = (take(behind + i, axis, mode="wrap") for i in lags)
             rise = low * (1 - part) + high * part - here
             alphas.append(math.sqrt(2 * np.mean(rise**2)) / (lag * step))
         return alphas[0], alphas[1]

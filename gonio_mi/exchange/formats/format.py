@@ -98,10 +98,8 @@ class Lines:
     def whole(self, n: int, text: str | None = None) -> list[int]:
         """The same, whole numbers."""
         values = self.numbers(n, text)
-        require(
-            bool((values == np.round(values)).all() and (np.abs(values) < 1e15).all()),
-            f"line {self.number} must have whole numbers",
-        )
+        good = (values == np.round(values)) & (np.abs(values) < 1e15)
+        require(good.all(), f"line {self.number} must have whole numbers")
         return [int(value) for value in values]
 
     def listed(self) -> Floats:

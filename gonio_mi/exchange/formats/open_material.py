@@ -156,11 +156,8 @@ def read(stream: BinaryIO) -> Scatter:
         azimuth = azimuth[azimuth < 360 - ANGLE_TOLERANCE]
         here = here[here[:, 3] < 360 - ANGLE_TOLERANCE]
         grid = np.full((len(polar), len(azimuth), len(wavelengths)), np.nan)
-        place = (
-            np.searchsorted(polar, here[:, 2]),
-            np.searchsorted(azimuth, here[:, 3]),
-            np.searchsorted(wavelengths, here[:, 0]),
-        )
+        axes = ((polar, 2), (azimuth, 3), (wavelengths, 0))
+        place = tuple(np.searchsorted(axis, here[:, i]) for axis, i in axes)
         grid[place] = here[:, 4]
         pole = polar < ANGLE_TOLERANCE  # with a value for one azimuth or for all
         known_pole = ~np.isnan(grid[pole])

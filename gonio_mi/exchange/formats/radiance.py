@@ -98,10 +98,8 @@ class Product:
 
     def text(self) -> str:
         """Elements of the file."""
-        lines = [
-            f"<Name>{escape(self.name)}</Name>",
-            f"<Manufacturer>{escape(self.manufacturer)}</Manufacturer>",
-        ]
+        lines = [f"<Name>{escape(self.name)}</Name>"]
+        lines += [f"<Manufacturer>{escape(self.manufacturer)}</Manufacturer>"]
         for key in ("Thickness", "Width", "Height"):
             value = getattr(self, key.lower())
             value = 0.0 if value is None and key == "Thickness" else value
@@ -196,10 +194,8 @@ def _block(wavelength: str, direction: str, block: Floats | TensorTree) -> str:
         text = block.text()
     else:
         name = basis_of(block)
-        basis = (
-            f"<ColumnAngleBasis>{name}</ColumnAngleBasis>\n"
-            f"<RowAngleBasis>{name}</RowAngleBasis>"
-        )
+        basis = f"<ColumnAngleBasis>{name}</ColumnAngleBasis>\n"
+        basis += f"<RowAngleBasis>{name}</RowAngleBasis>"
         # as WINDOW has them; pyWinCalc reads no other
         text = ",\n".join(", ".join(f"{v:.7g}" for v in row) for row in block) + "\n"
     kind = "BRDF" if "Reflection" in direction else "BTDF"
@@ -238,10 +234,8 @@ def read(stream: BinaryIO) -> dict[tuple[str, str], Floats | TensorTree]:
     root = _root(stream)
     structure = root.findtext(".//IncidentDataStructure", "").strip()
     known = ("Columns", "Rows", *STRUCTURES)
-    require(
-        structure in known,
-        f"its IncidentDataStructure must be {', '.join(known)}, got {structure!r:.40}",
-    )
+    must = f"must be {', '.join(known)}, got {structure!r:.40}"
+    require(structure in known, f"its IncidentDataStructure {must}")
     blocks = {}
     for data in root.iter("WavelengthData"):
         wavelength = data.findtext("Wavelength", "").strip()

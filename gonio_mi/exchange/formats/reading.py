@@ -46,11 +46,8 @@ def endings_of(can: str) -> tuple[str, ...]:
 
 def lost_in_each() -> str:
     """Line for each format with what its files cannot hold."""
-    return "\n".join(
-        f"  {' '.join(one.endings):18} {one.program}: {one.loses}"
-        for one in _all()
-        if one.loses
-    )
+    rows = ((" ".join(one.endings), one) for one in _all() if one.loses)
+    return "\n".join(f"  {name:18} {one.program}: {one.loses}" for name, one in rows)
 
 
 def format_named(ending: str) -> Format:

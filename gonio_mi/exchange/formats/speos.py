@@ -120,10 +120,8 @@ def _read_anisotropic(rows: Lines, header: dict[str, str]) -> Scatter:
         reference, own, parts_of_one = spectra[hemisphere]
         # of transmission the spectrum may have other wavelengths
         percentages = np.interp(nm, own, parts_of_one)
-        unscaled = [
-            _block(rows, kind, (float(theta), float(-angle % 360)), hemisphere)
-            for angle, theta in directions[hemisphere]
-        ]
+        incidences = [(float(t), float(-a % 360)) for a, t in directions[hemisphere]]
+        unscaled = [_block(rows, kind, one, hemisphere) for one in incidences]
         # nothing meets a surface at 90 degrees
         unscaled = [block for block in unscaled if block.theta_i < 90]
         require(bool(unscaled), "it has no incidence below 90 degrees")
@@ -196,10 +194,8 @@ def _scatter(
 ) -> Scatter:
     """Blocks of a file; of one channel Y, if all wavelengths have the same values."""
     require(len(wavelengths) > 0, "it has neither reflection nor transmission")
-    require(
-        bool((wavelengths > 0).all()) and bool((np.diff(wavelengths) > 0).all()),
-        "its wavelengths must ascend",
-    )
+    ascend = bool((np.diff(wavelengths, prepend=0) > 0).all())
+    require(ascend, "its wavelengths must ascend")
     channels = tuple(f"{nm:.10g}nm" for nm in wavelengths)
     if all(np.ptp(block.values, axis=-1).max(initial=0) == 0 for block in blocks):
         channels, blocks = ("Y",), [block.channel(0) for block in blocks]

@@ -268,10 +268,9 @@ class _Reading:
         seen = f" (it has {abridged(', '.join(map(repr, names)), 80)})" if names else ""
         options = " ".join(f"{role}=NAME" for role in unclear)
         number = ", or a number, such as theta_i=30" if "theta_i" in unclear else ""
-        questions = [
-            f"one column must be {', one '.join(unclear)}{seen}: say --columns "
-            f"{options}{number}"
-        ]
+        roles = ", one ".join(unclear)
+        say = f"say --columns {options}{number}"
+        questions = [f"one column must be {roles}{seen}: {say}"]
         if not self.own and not self._stated_quantity():
             questions.append(_quantity_question())
         # azimuths of exit without those of incidence
