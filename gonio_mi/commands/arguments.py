@@ -44,13 +44,9 @@ Group: TypeAlias = argparse._ActionsContainer
 
 def add_specimen(parser: argparse.ArgumentParser) -> None:
     """Add the argument that :func:`specimen_of` understands."""
-    add_text(
-        parser,
-        "specimen",
-        "SPECIMEN",
-        "A Mitsuba scene file, a height map (x3p, ...), a mesh (obj, ply, stl) with "
-        "--bsdf, or a BSDF such as roughconductor:alpha=0.2.",
-    )
+    text = "A Mitsuba scene file, a height map (x3p, ...), a mesh (obj, ply, stl) with "
+    text += "--bsdf, or a BSDF such as roughconductor:alpha=0.2."
+    add_text(parser, "specimen", "SPECIMEN", text)
 
 
 def add_number(
@@ -64,13 +60,9 @@ def add_number(
 
 def add_stokes(group: Group, text: str) -> None:
     """Add the option that takes the Stokes vector of incident light."""
-    group.add_argument(
-        "--stokes",
-        nargs=4,
-        type=number,
-        metavar=("I", "Q", "U", "V"),
-        help=f"{text} Of records of polarised variants; 1 1 0 0 is light along s.",
-    )
+    text += " Of records of polarised variants; 1 1 0 0 is light along s."
+    names: Any = ("I", "Q", "U", "V")
+    add_text(group, "--stokes", names, text, nargs=4, type=number)
 
 
 def add_text(group: Group, option: str, metavar: str, text: str, **how: Any) -> None:
@@ -111,23 +103,13 @@ def add_scene_options(
     The default of ``--variant`` is None where a command takes several `variants`.
     """
     group = parser.add_argument_group("Scene")
-    group.add_argument(
-        "--variant",
-        default=variants[0] if len(variants) == 1 else None,
-        metavar="V",
-        help=f"Mitsuba variant. Default: {' and '.join(variants)}.",
-    )
+    default = variants[0] if len(variants) == 1 else None
+    text = f"Mitsuba variant. Default: {' and '.join(variants)}."
+    add_text(group, "--variant", "V", text, default=default)
     add_files(group, "--plugin", text="Python files that register Mitsuba plugins.")
-    group.add_argument(
-        "-D",
-        nargs="+",
-        action="extend",
-        default=[],
-        type=pair,
-        dest="parameters",
-        metavar="KEY=VALUE",
-        help="Values of the $KEY parameters of the scene file.",
-    )
+    how: dict[str, Any] = {"nargs": "+", "action": "extend", "default": []}
+    text = "Values of the $KEY parameters of the scene file."
+    add_text(group, "-D", "KEY=VALUE", text, dest="parameters", type=pair, **how)
 
 
 # --------------------------------------------------------- settings of a measurement
@@ -328,65 +310,36 @@ TABLE_OPTIONS = ("channel", "quantity", "columns", "azimuth", "panel_reflectance
 def add_table_options(group: Group) -> None:
     """Add the options on what a table of measured values leaves open."""
     add_text(group, "--channel", "NAME", "Channel of a table of several: 550nm.")
-    add_text(
-        group,
-        "--quantity",
-        "Q",
-        "Quantity of the values, if the table does not state it: brdf, brdf_cos, btdf "
-        "or reflectance_factor.",
-    )
-    group.add_argument(
-        "--columns",
-        nargs="+",
-        action="extend",
-        type=pair,
-        metavar="ROLE=NAME",
-        help="Column of theta_i, phi_i, theta_o, phi_o, delta_phi, value, sigma or "
-        "wavelength. ROLE=NAME:rad for an angle in radians, ROLE=0 for a number that "
-        "holds for all rows, such as theta_i=30.",
-    )
-    add_text(
-        group,
-        "--azimuth",
-        "FROM",
-        "Zero of azimuths of exit that are relative to incidence: source or mirror "
-        "(the side of the mirror direction).",
-    )
-    add_number(
-        group,
-        "--panel-reflectance",
-        "X",
-        "Reflectance of the reference panel that values are relative to. Default: that "
-        "of the title, or 1.",
-    )
+    text = "Quantity of the values, if the table does not state it: "
+    text += "brdf, brdf_cos, btdf or reflectance_factor."
+    add_text(group, "--quantity", "Q", text)
+    text = "Column of theta_i, phi_i, theta_o, phi_o, delta_phi, value, sigma or "
+    text += "wavelength. ROLE=NAME:rad for an angle in radians, ROLE=0 for a number "
+    text += "that holds for all rows, such as theta_i=30."
+    how: dict[str, Any] = {"nargs": "+", "action": "extend", "type": pair}
+    add_text(group, "--columns", "ROLE=NAME", text, **how)
+    text = "Zero of azimuths of exit that are relative to incidence: source or mirror "
+    text += "(the side of the mirror direction)."
+    add_text(group, "--azimuth", "FROM", text)
+    text = "Reflectance of the reference panel that values are relative to. "
+    text += "Default: that of the title, or 1."
+    add_number(group, "--panel-reflectance", "X", text)
 
 
 def add_uncertainties(group: Group, name: str) -> None:
     """Add the options on how well the values of a file are known, named so in help."""
-    add_number(
-        group,
-        "--uncertainty",
-        "X",
-        f"Relative standard uncertainty of each value of {name}, independent between "
-        "points: 0.005 is 0.5 %%. Default: as the table states.",
-    )
-    add_number(
-        group,
-        "--scale-uncertainty",
-        "X",
-        "Relative standard uncertainty of a factor common to all values: calibration. "
-        "Default: as the table states.",
-    )
+    text = "Relative standard uncertainty of "
+    stated = "Default: as the table states."
+    own = f"each value of {name}, independent between points: 0.005 is 0.5 %%. {stated}"
+    add_number(group, "--uncertainty", "X", text + own)
+    common = f"a factor common to all values: calibration. {stated}"
+    add_number(group, "--scale-uncertainty", "X", text + common)
 
 
 def add_aperture(group: Group) -> None:
     """Add the option on the detector of a table that does not state it."""
-    add_number(
-        group,
-        "--aperture-half-angle",
-        "DEG",
-        "Half-angle of the detector's aperture, if the table does not state it.",
-    )
+    text = "Half-angle of the detector's aperture, if the table does not state it."
+    add_number(group, "--aperture-half-angle", "DEG", text)
 
 
 def check_no_table_options(
@@ -400,16 +353,11 @@ def check_no_table_options(
 def table_of(path: str, options: argparse.Namespace) -> MeasuredTable:
     """Table of a file, read as the options say."""
     read_measured = ask("exchange", "read_measured")
-    columns = dict(options.columns) if options.columns else None
+    said = given_options(options, TABLE_OPTIONS)
+    if "columns" in said:
+        said["columns"] = dict(said["columns"])
     try:
-        table: MeasuredTable = read_measured(
-            path,
-            options.channel,
-            quantity=options.quantity,
-            columns=columns,
-            azimuth=options.azimuth,
-            panel_reflectance=options.panel_reflectance,
-        )
+        table: MeasuredTable = read_measured(path, **said)
     except FileFormatError:
         check_kind(path, "table")
         raise

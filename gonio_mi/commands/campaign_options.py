@@ -28,13 +28,9 @@ def add_campaign(group: Group, default: str = "none") -> None:
     """Add where to measure, and where to keep what is finished."""
     text = "Measure the incident directions in this many processes."
     add_number(group, "--workers", "N", text)
-    add_text(
-        group,
-        "--folder",
-        "DIR",
-        "Folder of finished incident directions, from which the same command resumes, "
-        f"also after a crash. Default: {default}.",
-    )
+    text = "Folder of finished incident directions, from which the same command "
+    text += f"resumes, also after a crash. Default: {default}."
+    add_text(group, "--folder", "DIR", text)
 
 
 def campaign_options(options: Namespace) -> dict[str, Any]:

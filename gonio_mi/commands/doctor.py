@@ -74,7 +74,7 @@ def diagnose() -> tuple[list[Row], bool]:
     rows = [
         Row("python", platform.python_version(), True),
         *(_package(name) for name in REQUIRED),
-        *(_extra(name, extra) for name, extra in OPTIONAL.items()),
+        *(_package(name, extra) for name, extra in OPTIONAL.items()),
         Row("LLVM library", status.path or "unknown", status.usable),
         Row("LLVM version", llvm.dotted(status.version), status.usable),
         Row("LLVM verdict", status.reason, status.usable),
@@ -88,17 +88,13 @@ def diagnose() -> tuple[list[Row], bool]:
 # ------------------------------------------------------------------------- findings
 
 
-def _package(name: str) -> Row:
+def _package(name: str, extra: str = "") -> Row:
     try:
         return Row(name, metadata.version(name), True)
     except metadata.PackageNotFoundError:
-        return Row(name, f"not installed: run `pip install {name}`", False)
-
-
-def _extra(name: str, extra: str) -> Row:
-    row = _package(name)
-    line = f"not installed, optional: {to_install(extra)}"
-    return row if row.ok else Row(name, line, True)
+        remedy = f", optional: {to_install(extra)}" if extra else ""
+        remedy = remedy or f": run `pip install {name}`"
+        return Row(name, f"not installed{remedy}", bool(extra))
 
 
 def _self_test() -> Row:
@@ -120,16 +116,10 @@ def _self_test() -> Row:
 
 def _measure_white() -> Record:
     """Record of counted independent rays on a white Lambertian plate."""
-    return measure_whole(
-        {"type": "diffuse", "reflectance": 1.0},
-        theta_i=45,
-        phi_i=0,
-        collector="projected:10x10",
-        rays=SELF_TEST_RAYS,
-        estimator="analog",
-        sampler="independent",
-        seed=0,
-    )
+    plate = {"type": "diffuse", "reflectance": 1.0}
+    method = {"estimator": "analog", "sampler": "independent", "seed": 0}
+    where = {"theta_i": 45, "phi_i": 0, "collector": "projected:10x10"}
+    return measure_whole(plate, rays=SELF_TEST_RAYS, **where, **method)
 
 
 def _faults(record: Record, brdf: float) -> list[str]:

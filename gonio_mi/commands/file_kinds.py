@@ -15,61 +15,37 @@ if TYPE_CHECKING:
 # Bytes in which an XML file names its root.
 HEAD = 4096
 
-# Endings of names, what commands take such files as, and a sentence on them; those of
-# records, tables, meshes and heights are listed where they are read.
-RECORD = ("record", "is named as a record is: give it to gonio-mi show, plot or report")
+# Sentences on files by the endings of their names; those of records, tables, meshes and
+# heights are listed where they are read.
+RECORD = "is named as a record is: give it to gonio-mi show, plot or report"
 MEASURED = (
-    "table",
     "holds measured values: give it to gonio-mi show, compare or fit, or measure the "
-    "material goniometric:filename={path}",
+    "material goniometric:filename={path}"
 )
-MESH = ("specimen", "is a mesh: give it to gonio-mi measure or surface, with --bsdf")
-HEIGHTS = (
+MESH = "is a mesh: give it to gonio-mi measure or surface, with --bsdf"
+HEIGHTS = "is read as heights of a surface: give it to gonio-mi surface or measure"
+TABLE = (
+    "is named as a table is: give it to gonio-mi show, compare or fit (heights in text "
+    "are known by the ending .asc)"
+)
+TABLES = (".csv", ".tsv", ".txt", ".astm", ".rtd")
+POINTS = (
+    "is a cloud of points, which no command reads: make a mesh of it (obj, ply, stl) "
+    "or heights on a regular grid (npy)"
+)
+OTHERS = {
+    ".jpg .jpeg .gif .pdf .svg .webp .bmp": "is a picture, which no command reads: "
+    "records end in .npz or .exr",
+    ".ies .ldt": "is the light of a lamp, which no command reads: emitters are parts "
+    "of scenes",
+    ".h5 .hdf5 .nc": "holds arrays, which gonio-mi export writes and no command reads: "
+    "records end in .npz or .exr",
+    ".xyz .pts .pcd .las .laz .e57": POINTS,
+    ".rad .oct": "is a scene of Radiance, which no command reads: scenes are "
+    "Mitsuba's, in XML, and meshes end in .obj, .ply or .stl",
+    ".py": "is a program in Python: give a plugin with --plugin, and its name as the "
     "specimen",
-    "is read as heights of a surface: give it to gonio-mi surface or measure",
-)
-OTHERS: tuple[tuple[tuple[str, ...], str, str], ...] = (
-    (
-        (".csv", ".tsv", ".txt", ".astm", ".rtd"),
-        "table",
-        "is named as a table is: give it to gonio-mi show, compare or fit (heights in "
-        "text are known by the ending .asc)",
-    ),
-    (
-        (".jpg", ".jpeg", ".gif", ".pdf", ".svg", ".webp", ".bmp"),
-        "picture",
-        "is a picture, which no command reads: records end in .npz or .exr",
-    ),
-    (
-        (".ies", ".ldt"),
-        "lamp",
-        "is the light of a lamp, which no command reads: emitters are parts of scenes",
-    ),
-    (
-        (".h5", ".hdf5", ".nc"),
-        "arrays",
-        "holds arrays, which gonio-mi export writes and no command reads: records end "
-        "in .npz or .exr",
-    ),
-    (
-        (".xyz", ".pts", ".pcd", ".las", ".laz", ".e57"),
-        "points",
-        "is a cloud of points, which no command reads: make a mesh of it (obj, ply, "
-        "stl) or heights on a regular grid (npy)",
-    ),
-    (
-        (".rad", ".oct"),
-        "radiance",
-        "is a scene of Radiance, which no command reads: scenes are Mitsuba's, in XML, "
-        "and meshes end in .obj, .ply or .stl",
-    ),
-    (
-        (".py",),
-        "plugin",
-        "is a program in Python: give a plugin with --plugin, and its name as the "
-        "specimen",
-    ),
-)
+}
 OF_RADIANCE = "is a BSDF of Radiance: measure the specimen goniometric:filename={path}"
 SCENE = "is a scene: give it to gonio-mi measure"
 UNKNOWN = (
@@ -134,18 +110,20 @@ def _kind(path: Path) -> tuple[str, str]:
     if name.endswith(".xml"):
         is_radiance = b"<WindowElement" in head
         return ("material", OF_RADIANCE) if is_radiance else ("specimen", SCENE)
-    kinds = (
-        (files.ENDINGS, *RECORD),
-        (ask("exchange", "endings_of", lambda _: ())("scatter"), *MEASURED),
-        *OTHERS,
-        (tuple(MESHES), *MESH),
-        (height_maps.ENDINGS, *HEIGHTS),
-    )
     if name.endswith(".ply") and not re.search(rb"element face +[1-9]", head):
-        name = "points.xyz"
+        return "points", POINTS
     # text with labels is told from heights by who reads it
     if name.endswith((".asc", ".dat")) and re.search(rb"(?m)^[^#\n]*[A-Za-z]{3}", head):
         return "unknown", ""
+    others = ((tuple(names.split()), "foreign", OTHERS[names]) for names in OTHERS)
+    kinds = (
+        (files.ENDINGS, "record", RECORD),
+        (ask("exchange", "endings_of", lambda _: ())("scatter"), "table", MEASURED),
+        (TABLES, "table", TABLE),
+        *others,
+        (tuple(MESHES), "specimen", MESH),
+        (height_maps.ENDINGS, "specimen", HEIGHTS),
+    )
     for endings, kind, sentence in kinds:
         if name.endswith(endings):
             return kind, sentence

@@ -113,28 +113,14 @@ def add_options(parser: ArgumentParser) -> None:
 
 def _add_angles(group: Group) -> None:
     """Add the options of the incident directions."""
-    group.add_argument(
-        "--theta-i",
-        nargs="+",
-        type=number,
-        metavar="DEG",
-        help="Angles of incidence in [0, 90).",
-    )
-    group.add_argument(
-        "--phi-i",
-        nargs="+",
-        type=number,
-        default=[0],
-        metavar="DEG",
-        help="Azimuths of incidence, each combined with each --theta-i. Default: 0.",
-    )
-    add_number(
-        group,
-        "--tolerance",
-        "X",
-        "Instead of angles: choose incident directions adaptively until the "
-        "interpolated BSDF misplaces at most this fraction of the scattered flux.",
-    )
+    several: dict[str, Any] = {"nargs": "+", "type": number}
+    text = "Angles of incidence in [0, 90)."
+    add_text(group, "--theta-i", "DEG", text, **several)
+    text = "Azimuths of incidence, each combined with each --theta-i. Default: 0."
+    add_text(group, "--phi-i", "DEG", text, default=[0], **several)
+    text = "Instead of angles: choose incident directions adaptively until the "
+    text += "interpolated BSDF misplaces at most this fraction of the scattered flux."
+    add_number(group, "--tolerance", "X", text)
     text = "Largest angle of incidence for --tolerance. Default: 80."
     add_number(group, "--theta-max", "DEG", text)
 
@@ -183,12 +169,11 @@ def _run(options: Namespace, orders: Sequence[str] = ()) -> int:
     specimen = prepared_surface(specimen, options)
     if not options.quiet:
         tell_mesh(specimen, options)
-    settings = given_settings(options) | {
-        "theta_i": _one_or_many(options.theta_i),
-        "phi_i": _one_or_many(options.phi_i),
-        "parameters": parameters,
-        "progress": not options.quiet,
-    }
+    settings = given_settings(options)
+    settings |= {"parameters": parameters, "progress": not options.quiet}
+    for name in ("theta_i", "phi_i"):  # one value asks for a record, not for a stack
+        values = getattr(options, name)
+        settings[name] = values[0] if values and len(values) == 1 else values
     if orders:
         del settings["order"]
 
@@ -200,14 +185,14 @@ def _run(options: Namespace, orders: Sequence[str] = ()) -> int:
         warnings.simplefilter("ignore", LostLightWarning)
         measured = _measured(specimen, options, orders, settings)
         ctrl_c.ignored = True
-        records = measured if orders else {"": measured}
-        outputs = [
-            [_order_path(path, one) for path in options.output] for one in records
-        ]
-        unsaved = list(map(_save, records.values(), outputs))
-        for record, output in zip(records.values(), outputs):
-            code = max(code, _finish(record, options, output, ctrl_c.pressed))
-        if any(unsaved):
+        records: dict[str, Record] = measured if orders else {"": measured}
+        of_order = {
+            one: [_order_path(p, one) for p in options.output] for one in records
+        }
+        unsaved = [p for one in records for p in _save(records[one], of_order[one])]
+        for one, record in records.items():
+            code = max(code, _finish(record, options, of_order[one], ctrl_c.pressed))
+        if unsaved:
             code = USER_ERROR
         parts.finished = code != USER_ERROR
     return code
@@ -261,9 +246,8 @@ def _measured(
         )
     where = where or {"plugins": options.plugin}
     with kept_after_ctrl_c(options.folder):
-        record = campaign({options.specimen: specimen}, **where, **chosen, **settings)[
-            options.specimen
-        ]
+        given = {options.specimen: specimen}
+        record = campaign(given, **where, **chosen, **settings)[options.specimen]
     return record if len(record) > 1 else record[0]
 
 
@@ -277,11 +261,6 @@ def _save(record: Record, paths: Sequence[str]) -> list[str]:
             unsaved.append(path)
             say(sentence(error))
     return unsaved
-
-
-def _one_or_many(values: Any) -> Any:
-    """The value of a list of one: it asks for a record, not for a stack."""
-    return values[0] if values is not None and len(values) == 1 else values
 
 
 def _remains(options: Namespace, output: Sequence[str], record: Record) -> str:

@@ -5,7 +5,6 @@ import re
 import sys
 import textwrap
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -65,12 +64,8 @@ class Parser(argparse.ArgumentParser):
     """
 
     def __init__(self, rare: Sequence[str] = (), **kwargs: Any) -> None:
-        super().__init__(
-            formatter_class=_HelpFormatter,
-            allow_abbrev=False,
-            add_help=False,
-            **kwargs,
-        )
+        kwargs |= {"formatter_class": _HelpFormatter, "add_help": False}
+        super().__init__(allow_abbrev=False, **kwargs)
         self.rare = rare
         self._positionals.title, self._optionals.title = "Arguments", "Options"
         self.add_argument("-h", "--help", action="help", help="Show this help.")
@@ -139,13 +134,11 @@ class Parser(argparse.ArgumentParser):
         if not getattr(found, "json", False):
             return
         alone = (getattr(found, a.dest, None) for a in self._get_positional_actions())
-        for word in (*alone, *rest):
-            if not isinstance(word, str) or not word.endswith(".json"):
-                continue
+        words = [word for word in (*alone, *rest) if isinstance(word, str)]
+        for word in (one for one in words if one.endswith(".json")):
             if word in rest or not Path(word).is_file():
-                self.error(
-                    f"--json takes no file, for it prints: write --json > {word}"
-                )
+                said = f"write --json > {word}"
+                self.error(f"--json takes no file, for it prints: {said}")
 
     def error(self, message: str) -> NoReturn:
         """Raise it."""
@@ -177,26 +170,6 @@ def _sentence_and_default(text: str) -> str:
 # them is meant for it.
 
 
-@dataclass
-class _Run:
-    """Option that takes several values, and the place of the last of them."""
-
-    action: argparse.Action
-    last: int
-    words: Sequence[str]
-
-    @property
-    def is_misplaced(self) -> bool:
-        """Whether the last word cannot be a value of the option."""
-        if not callable(self.action.type):
-            return False
-        try:
-            self.action.type(self.words[-1])
-        except (ValueError, TypeError, argparse.ArgumentTypeError):
-            return True
-        return False
-
-
 def _with_positionals_first(
     parser: argparse.ArgumentParser, words: Sequence[str]
 ) -> list[str]:
@@ -210,33 +183,32 @@ def _with_positionals_first(
         not action.option_strings and action.nargs not in ("?", "*")
         for action in parser._actions
     )
-    alone, runs = _words_alone_and_runs(parser, words)
-    if alone >= required or not runs:
-        return list(words)
-    misplaced = [run for run in runs if run.is_misplaced]
-    free = [run for run in runs if run.action.type is None]
-    if not (misplaced or free):
-        return list(words)
-    at = (misplaced or free)[-1].last
-    return [words[at], *words[:at], *words[at + 1 :]]
-
-
-def _words_alone_and_runs(
-    parser: argparse.ArgumentParser, words: Sequence[str]
-) -> tuple[int, list[_Run]]:
-    """Number of words that belong to no option, and options of at least two words."""
-    alone, runs = 0, []
+    alone = 0
+    # last words of options that have taken at least two
+    misplaced, free = [], []
     for action, start, end in _pieces(parser, words):
         n = end - start
         if action is None:
             alone += n
-        elif action.nargs == "+":
-            if n > 1:
-                runs.append(_Run(action, end - 1, words[start:end]))
-        else:
-            takes = {None: 1, "?": 1, 0: 0}.get(action.nargs, n)
-            alone += max(0, n - takes)
-    return alone, runs
+        elif action.nargs != "+":
+            alone += max(0, n - {None: 1, "?": 1, 0: 0}.get(action.nargs, n))
+        elif n > 1:
+            misplaced += [end - 1] if _refuses(action, words[end - 1]) else []
+            free += [end - 1] if action.type is None else []
+    places = (misplaced or free) if alone < required else []
+    for at in places[-1:]:
+        return [words[at], *words[:at], *words[at + 1 :]]
+    return list(words)
+
+
+def _refuses(action: argparse.Action, word: str) -> bool:
+    """Whether a word cannot be a value of an option."""
+    try:
+        if callable(action.type):
+            action.type(word)
+    except (ValueError, TypeError, argparse.ArgumentTypeError):
+        return True
+    return False
 
 
 def _pieces(

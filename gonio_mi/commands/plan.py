@@ -25,20 +25,11 @@ numbers are for independent rays; the sampler sobol needs fewer.
 
 def add_options(parser: ArgumentParser) -> None:
     """Add the options of the command to its parser."""
-    add_text(
-        parser,
-        "pilot",
-        "PILOT",
-        "A first record of the specimen at one incident direction.",
-        nargs="?",
-    )
-    add_text(
-        parser,
-        "--collector",
-        "KIND:NTxNP",
-        "Patches, without a pilot. Default: projected:30x30.",
-        default="projected:30x30",
-    )
+    text = "A first record of the specimen at one incident direction."
+    add_text(parser, "pilot", "PILOT", text, nargs="?")
+    patches = "projected:30x30"
+    text = f"Patches, without a pilot. Default: {patches}."
+    add_text(parser, "--collector", "KIND:NTxNP", text, default=patches)
     text = "Absolute error of a flux fraction, for the bounds."
     add_number(parser, "--epsilon", "E", text, 0.005)
     add_number(parser, "--delta", "D", "Probability of exceeding --epsilon.", 0.01)

@@ -23,13 +23,8 @@ examples:
 def add_options(parser: ArgumentParser) -> None:
     """Add the options of the command to its parser."""
     add_text(parser, "record", "RECORD", "An .exr or .npz file.")
-    parser.add_argument(
-        "-o",
-        "--output",
-        required=True,
-        metavar="FIG",
-        help="A .png, .pdf or .svg file, or a .gif: an animation of a stack.",
-    )
+    text = "A .png, .pdf or .svg file, or a .gif: an animation of a stack."
+    parser.add_argument("-o", "--output", required=True, metavar="FIG", help=text)
     add_stokes(parser, "Draw the polarisation of what leaves for light of this one.")
     text = "Draw all elements of the Mueller matrices, of a polarised variant."
     parser.add_argument("--mueller", action="store_true", help=text)
@@ -43,15 +38,13 @@ def run(options: Namespace) -> int:
     from .. import plots  # slow to import
 
     animated = Path(options.output).suffix.lower() in plots.ANIMATION_ENDINGS
-    if options.mueller or options.stokes:
-        if options.mueller and options.stokes:
-            raise SettingError("--mueller and --stokes exclude each other, got both")
-        index = options.index or 0
-        if options.mueller:
-            plots.plot_mueller(record, options.output, index=index)
-        else:
-            vector = options.stokes
-            plots.plot_stokes(record, options.output, stokes=vector, index=index)
+    index, vector = options.index or 0, options.stokes
+    if options.mueller and vector:
+        raise SettingError("--mueller and --stokes exclude each other, got both")
+    if options.mueller:
+        plots.plot_mueller(record, options.output, index=index)
+    elif vector:
+        plots.plot_stokes(record, options.output, stokes=vector, index=index)
     elif animated:
         if options.index is not None:
             raise SettingError("--index must not be given for an animation of them all")
@@ -59,5 +52,5 @@ def run(options: Namespace) -> int:
     elif options.index is None and len(record) > 1:
         plots.sheet(record, options.output)
     else:
-        plots.plot(record, options.output, index=options.index or 0)
+        plots.plot(record, options.output, index=index)
     return DONE

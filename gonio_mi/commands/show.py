@@ -52,10 +52,9 @@ def run(options: Namespace) -> int:
     if not path.lower().endswith(files.ENDINGS):
         if not Path(path).exists():
             raise FileNotFoundError(no_file(path))
-        if options.stokes:
-            raise SettingError(f"--stokes applies to records only, got {path!r}")
-        if options.json:
-            raise SettingError(f"--json applies to records only, got {path!r}")
+        for name in ("stokes", "json"):
+            if getattr(options, name):
+                raise SettingError(f"--{name} applies to records only, got {path!r}")
         tell(table_of(path, options))
         return DONE
     check_no_table_options(path, options)

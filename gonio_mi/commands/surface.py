@@ -65,69 +65,46 @@ def add_options(parser: ArgumentParser) -> None:
 
 def add_surface_options(parser: ArgumentParser) -> None:
     """Add the options that say what a height map or a mesh is, in a group."""
+    axes = ", ".join(NORMALS)
     about = "For a height map, or a mesh (--bsdf, --unit, --normal, --mean-plane)."
     group = parser.add_argument_group("Surface", about)
     _add_height_map(group)
-    add_text(
-        group,
-        "--bsdf",
-        "BSDF",
-        "BSDF of the surface in one word, such as conductor:material=Al. Default: a "
-        "mirror for a height map, diffuse for heightfield:..., none for a mesh.",
-    )
-    group.add_argument(
-        "--normal",
-        choices=tuple(NORMALS),
-        metavar="AXIS",
-        help="Axis of a mesh file that becomes the specimen's normal, +z "
-        f"({', '.join(NORMALS)}): the specimen's normal, not the vertical. Default: z.",
-    )
+    text = "BSDF of the surface in one word, such as conductor:material=Al. Default: a "
+    text += "mirror for a height map, diffuse for heightfield:..., none for a mesh."
+    add_text(group, "--bsdf", "BSDF", text)
+    text = f"Axis of a mesh file that becomes the specimen's normal, +z ({axes}): the "
+    text += "specimen's normal, not the vertical. Default: z."
+    add_text(group, "--normal", "AXIS", text, choices=tuple(NORMALS))
     text = "Height of the mean plane of a mesh along the normal axis. Default: middle."
     add_number(group, "--mean-plane", "Z", text)
 
 
 def _add_height_map(group: Group) -> None:
     """Add the options of :data:`HEIGHT_MAP`."""
-    add_number(
-        group,
-        "--size",
-        "X",
+    text = (
         "Extent in x, from the first point of a row to the last; with --period, from "
-        "the first to its repetition, one cell further. Default: as the file states, "
-        "else 2, with a warning.",
     )
+    text += "the first to its repetition, one cell further. "
+    text += "Default: as the file states, else 2, with a warning."
+    add_number(group, "--size", "X", text)
     text = "Extent in y. Default: as the file states, else by square cells."
     add_number(group, "--size-y", "Y", text)
-    add_number(
-        group,
-        "--scale",
-        "Z",
-        "Factor on the heights; of an image of integers, the height of a step of 1. "
-        "Default: 1; such images have none.",
-    )
+    text = "Factor on the heights; of an image of integers, the height of a step of 1. "
+    text += "Default: 1; such images have none."
+    add_number(group, "--scale", "Z", text)
     text = "Height from black to white of an image of integers, instead of --scale."
     add_number(group, "--range", "Z", text)
-    group.add_argument(
-        "--unit",
-        choices=tuple(UNITS),
-        metavar="UNIT",
-        help="Unit of all lengths, if the file does not state it "
-        f"({', '.join(filter(str.isascii, UNITS))}). It scales nothing, but lengths "
-        "can be compared with wavelengths.",
+    units = ", ".join(filter(str.isascii, UNITS))
+    text = f"Unit of all lengths, if the file does not state it ({units}). It scales "
+    text += "nothing, but lengths can be compared with wavelengths."
+    add_text(group, "--unit", "UNIT", text, choices=tuple(UNITS))
+    text = f"Form to remove: {', '.join(FORMS)}. Default: none."
+    add_text(group, "--form", "FORM", text, choices=tuple(FORMS))
+    text = (
+        f"Interpolation of points that were not measured: {', '.join(FILLS)} (planes "
     )
-    group.add_argument(
-        "--form",
-        choices=tuple(FORMS),
-        metavar="FORM",
-        help=f"Form to remove: {', '.join(FORMS)}. Default: none.",
-    )
-    group.add_argument(
-        "--fill",
-        choices=FILLS,
-        metavar="FILL",
-        help=f"Interpolation of points that were not measured: {', '.join(FILLS)} "
-        "(planes through three points). Default: none, which refuses them.",
-    )
+    text += "through three points). Default: none, which refuses them."
+    add_text(group, "--fill", "FILL", text, choices=FILLS)
 
 
 def prepared_surface(specimen: SpecimenLike, options: Namespace) -> Any:
@@ -168,11 +145,9 @@ def prepared_surface(specimen: SpecimenLike, options: Namespace) -> Any:
             )
         return specimen | given
     for name in given:
-        surfaces = (
-            "height maps and meshes" if name in ("bsdf", "unit") else "height maps"
-        )
+        maps = "height maps" + " and meshes" * (name in ("bsdf", "unit"))
         raise SettingError(
-            f"{option_of(name)} applies to {surfaces}, got {options.specimen}"
+            f"{option_of(name)} applies to {maps}, got {options.specimen}"
         )
     return specimen
 
@@ -224,12 +199,9 @@ def run(options: Namespace) -> int:
     with warnings.catch_warnings():
         concerns = "the (width|facets|heights|rms height) of"
         warnings.filterwarnings("ignore", concerns, RuntimeWarning)
+        settings = given_options(options, ("points", "blocks"))
         normals = micro_normals(
-            specimen,
-            parameters=parameters,
-            period=period,
-            points=options.points,
-            blocks=options.blocks,
+            specimen, parameters=parameters, period=period, **settings
         )
     if options.output is not None:
         normals.plot(options.output)

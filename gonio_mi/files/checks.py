@@ -59,20 +59,16 @@ def check_seal(stream: BinaryIO) -> None:
     stream.seek(max(size - 2 * SEAL_LENGTH, 0))
     _, mark, seal = stream.read().rpartition(SEAL_MARK)
     stream.seek(0)
-    require(
-        bool(mark),
-        "it ends in no check sum: it is truncated or was not written by gonio-mi",
-    )
+    reason = "it ends in no check sum: it is truncated or was not written by gonio-mi"
+    require(bool(mark), reason)
     require(len(mark + seal) == SEAL_LENGTH, "it is truncated or longer than it was")
     length = size - SEAL_LENGTH
     digest = hashlib.sha256()
     while piece := stream.read(min(PIECE, length - stream.tell())):
         digest.update(piece)
     stream.seek(0)
-    require(
-        seal == digest.hexdigest().encode(),
-        "it is damaged: its content does not agree with its check sum",
-    )
+    reason = "it is damaged: its content does not agree with its check sum"
+    require(seal == digest.hexdigest().encode(), reason)
 
 
 # ------------------------------------------------------------------------ records
@@ -80,19 +76,12 @@ def check_seal(stream: BinaryIO) -> None:
 
 def check_record(record: Record) -> None:
     """Raise FileFormatError unless the parts of a record can be what they are."""
-    _check_angles(record.theta_i, record.phi_i)
+    for theta, phi in zip(record.theta_i.tolist(), record.phi_i.tolist()):
+        below = math.isnan(theta) or -BELOW_NORMAL <= theta < 90  # NaN is not known
+        require(below, f"its theta_i is {theta:g}, not in [0, 90) degrees")
+        require(math.isnan(phi) or abs(phi) <= MAX_AZIMUTH, f"its phi_i is {phi:g}")
     for tally in record.tallies:
         _check_tally(tally, record)
-
-
-def _check_angles(theta_i: np.ndarray, phi_i: np.ndarray) -> None:
-    """Raise FileFormatError unless light can come from there; NaN is not known."""
-    for theta, phi in zip(theta_i.tolist(), phi_i.tolist()):
-        require(
-            math.isnan(theta) or -BELOW_NORMAL <= theta < 90,
-            f"its theta_i is {theta:g}, not in [0, 90) degrees",
-        )
-        require(math.isnan(phi) or abs(phi) <= MAX_AZIMUTH, f"its phi_i is {phi:g}")
 
 
 def _check_tally(tally: Tally, record: Record) -> None:
@@ -108,10 +97,8 @@ def _check_tally(tally: Tally, record: Record) -> None:
         f"{'there' if integrated else 'missing'}",
     )
     for name in tally.arrays:
-        require(
-            float(np.abs(getattr(tally, name)).sum(dtype=float)) < 2.0**64,
-            f"its {name} add up to more than 64 bits hold",
-        )
+        reason = f"its {name} add up to more than 64 bits hold"
+        require(float(np.abs(getattr(tally, name)).sum(dtype=float)) < 2.0**64, reason)
     ledger = tally.ledger
     require(
         bool(ledger.direct) or not tally.direct.any(), "it has direct light of no ray"
@@ -120,23 +107,17 @@ def _check_tally(tally: Tally, record: Record) -> None:
         left = (ledger.reflected, ledger.transmitted + ledger.direct)
         for hits, listed in zip(tally.hits, left):
             counted = int(hits.sum())
-            require(
-                counted == listed,
-                f"its patches received {counted} rays and its ledger says {listed}",
-            )
+            reason = f"its patches received {counted} rays and its ledger says {listed}"
+            require(counted == listed, reason)
         if not integrated:
             empty = tally.sums[:, tally.hits == 0]
             require(not empty.any(), "patches without a hit received light")
     met = ledger.emitted - ledger.missed - ledger.unlit
     incident = tally.incident.sum(axis=0, dtype=float)
-    require(
-        not (met or integrated) or bool((incident > 0).all()),
-        "it received light of an incident power of 0",
-    )
+    reason = "it received light of an incident power of 0"
+    require(not (met or integrated) or bool((incident > 0).all()), reason)
     rays, passes = record.provenance.rays, record.provenance.passes
     goal = record.asked.precision or record.asked.noise
     if goal is None and rays is not None:
-        require(
-            ledger.emitted <= rays * passes,
-            f"its ledger holds {ledger.emitted} rays of {rays} x {passes} asked for",
-        )
+        held = f"its ledger holds {ledger.emitted} rays of {rays} x {passes} asked for"
+        require(ledger.emitted <= rays * passes, held)

@@ -42,10 +42,8 @@ def parts_of(stream: BinaryIO) -> list[Part]:
         headers.append(found)
     parts, table = [], stream.tell()
     for header, values in headers:
-        require(
-            len(values.get("chunkCount", b"")) == 4 and "name" in values,
-            "a header of its parts is damaged",
-        )
+        reason = "a header of its parts is damaged"
+        require(len(values.get("chunkCount", b"")) == 4 and "name" in values, reason)
         (n_chunks,) = struct.unpack("<i", values["chunkCount"])
         name = values["name"].decode("utf-8", "replace")
         # number of the part, place of the chunk, length of what follows

@@ -68,10 +68,8 @@ def parsed_json(text: Any) -> Any:
 
 def check_format(header: Any) -> None:
     """Raise FileFormatError unless `header` is ours and of a version that we read."""
-    require(
-        isinstance(header, dict) and header.get("format") == FORMAT,
-        "it was not written by gonio-mi",
-    )
+    reason = "it was not written by gonio-mi"
+    require(isinstance(header, dict) and header.get("format") == FORMAT, reason)
     version = header.get("version")
     if version not in VERSIONS:
         newer = isinstance(version, int) and version > VERSION_OF_COPIES
@@ -201,15 +199,11 @@ def _check_shapes(
         floats = weights and name in ("sums", "incident", "errors", "direct")
         floats |= name == "elements"
         kind = np.dtype(np.float64 if floats else np.uint64)
-        require(
-            array.shape == shape and array.dtype == kind,
-            f"its array {name} is {array.dtype} {array.shape}, not {kind} {shape}",
-        )
+        reason = f"its array {name} is {array.dtype} {array.shape}, not {kind} {shape}"
+        require(array.shape == shape and array.dtype == kind, reason)
         sound = np.isfinite(array) & ((array >= 0) | (name in signed))
-        require(
-            not floats or bool(np.all(sound)),
-            f"its array {name} holds negative numbers, infinity or NaN",
-        )
+        reason = f"its array {name} holds negative numbers, infinity or NaN"
+        require(not floats or bool(np.all(sound)), reason)
 
 
 def _angles(header: dict[str, Any], key: str, n: int) -> Floats:

@@ -62,7 +62,7 @@ def dataset(record: Record) -> Any:
     patches = "incident", "hemisphere", "ring", "sector"
     unit = {"units": "sr-1"}
     degrees = {"units": "degree"}
-    coordinates = {}
+    solid, coordinates = record.subdivision.projected_solid_angles, {}
     wavelengths = wavelengths_nm(record.channels)
     if wavelengths is not None:
         coordinates["wavelength"] = ("channel", wavelengths, {"units": "nm"})
@@ -81,11 +81,7 @@ def dataset(record: Record) -> Any:
             "bsdf": ((*patches, "channel"), values, unit),
             "std_err": ((*patches, "channel"), errors, unit | {"long_name": STD_ERR}),
             "counts": (patches, counts),
-            "projected_solid_angle": (
-                patches[2:],
-                record.subdivision.projected_solid_angles,
-                {"units": "sr"},
-            ),
+            "projected_solid_angle": (patches[2:], solid, {"units": "sr"}),
         },
         coords={
             "theta_i": ("incident", record.theta_i, degrees),

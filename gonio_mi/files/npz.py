@@ -63,6 +63,9 @@ INTEGRALS = {"errors": ("float64 uint64", 5)}
 ELEMENTS = {"elements": ("float64", 6)}
 COPIES = {"copies": ("int64", 2)}
 
+# Arrays that are of all batches together.
+WHOLE = ("hits", "errors")
+
 
 def write(record: Record, stream: BinaryIO) -> None:
     """Write `record` to a binary stream."""
@@ -88,7 +91,7 @@ def write(record: Record, stream: BinaryIO) -> None:
                 np.lib.format.write_array(file, array, allow_pickle=False)
         for name in tallies[0].arrays:
             parts = (getattr(tally, name) for tally in tallies)
-            if name in ("hits", "errors"):
+            if name in WHOLE:
                 parts = (part[None] for part in parts)
             with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
                 _write_joined(file, list(parts))
@@ -127,23 +130,22 @@ def read(stream: BinaryIO, added_up: bool = False) -> Record:
         members = {info.filename: info for info in archive.infolist()}
         require("format.npy" in members, "it was not written by gonio-mi")
         announced = sum(info.file_size for info in archive.infolist())
-        require(
-            announced <= MAX_EXPANSION * size,
-            f"it announces {announced} bytes, more than {size} bytes can hold",
-        )
-        header = {name: _array(archive, members, name, HEADER) for name in HEADER}
-        header = {name: array.tolist() for name, array in header.items()}
+        reason = f"it announces {announced} bytes, more than {size} bytes can hold"
+        require(announced <= MAX_EXPANSION * size, reason)
+        header: dict[str, Any] = {}
+        for name in HEADER:
+            member = _opened(archive, members, name, HEADER)
+            header[name] = _numbers(*member).tolist()
         header["settings"] = parsed_json(header["settings"])
         check_format(header)
         expected = TALLIES | (INTEGRALS if "errors.npy" in members else {})
         expected |= ELEMENTS if "elements.npy" in members else {}
         expected |= COPIES if header["version"] == VERSION_OF_COPIES else {}
         known = {f"{name}.npy" for name in HEADER | expected}
-        require(
-            members.keys() == known and len(archive.infolist()) == len(known),
-            "its arrays are not those of a record",
-        )
-        n_batches = _array(archive, members, "n_batches", expected).tolist()
+        own = members.keys() == known and len(archive.infolist()) == len(known)
+        require(own, "its arrays are not those of a record")
+        batches = _opened(archive, members, "n_batches", expected)
+        n_batches = _numbers(*batches).tolist()
         shapes = _shapes(header, n_batches)
         opened = {
             name: _opened(archive, members, name, expected, shapes[name])
@@ -170,12 +172,8 @@ def _tallies(
     """Arrays of the tally of one incident direction after the other."""
     for n in n_batches:
         yield {
-            name: _numbers(
-                member,
-                shape[1:] if name in ("hits", "errors") else (n, *shape[1:]),
-                dtype,
-            )
-            for name, (member, shape, dtype) in opened.items()
+            name: _numbers(file, shape[1:] if name in WHOLE else (n, *shape[1:]), dtype)
+            for name, (file, shape, dtype) in opened.items()
         }
 
 
@@ -189,20 +187,14 @@ def _with_copies(
     """Record of the directions in the file and of the copies that it leaves out."""
     n, n_sectors = len(copies), parsed_subdivision(header).shape[1]
     of_each = ("theta_i", "phi_i", "scales")
-    require(
-        all(len(header[name]) == n for name in of_each),
-        "its copies are not of its incident directions",
-    )
+    reason = "its copies are not of its incident directions"
+    require(all(len(header[name]) == n for name in of_each), reason)
     source, by, mirrored = copies.T
     own = np.flatnonzero(source == np.arange(n))
-    require(
-        len(own) == n_own and bool(np.isin(source, own).all()),
-        "its copies are not of directions that it holds",
-    )
-    require(
-        bool(((by >= 0) & (by < n_sectors) & (mirrored >= 0) & (mirrored < 2)).all()),
-        "its copies are moved in no way that there is",
-    )
+    reason = "its copies are not of directions that it holds"
+    require(len(own) == n_own and bool(np.isin(source, own).all()), reason)
+    moved = (by >= 0) & (by < n_sectors) & (mirrored >= 0) & (mirrored < 2)
+    require(moved.all(), "its copies are moved in no way that there is")
     held = {name: [header[name][number] for number in own] for name in of_each}
     record = rebuilt(header | held, content, n_own, added_up)
     place = np.searchsorted(own, source).tolist()
@@ -235,16 +227,6 @@ def _shapes(
         "fates": (total, None),
         "copies": (None, 3),
     }
-
-
-def _array(
-    archive: zipfile.ZipFile,
-    members: dict[str, zipfile.ZipInfo],
-    name: str,
-    expected: dict[str, tuple[str, int]],
-) -> Numbers:
-    """Array of that name, once its header agrees with its type, size and shape."""
-    return _numbers(*_opened(archive, members, name, expected))
 
 
 def _opened(

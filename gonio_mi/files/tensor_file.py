@@ -26,11 +26,8 @@ VERSION = (1, 0)
 ALIGNMENT = 8
 
 # Numbers of the types, in the order of Mitsuba's `Struct`.
-TYPES = dict(
-    enumerate(
-        ["u1", "i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8", "<f2", "<f4", "<f8"], 1
-    )
-)
+NAMES = "u1 i1 <u2 <i2 <u4 <i4 <u8 <i8 <f2 <f4 <f8"
+TYPES = dict(enumerate(NAMES.split(), 1))
 NUMBERS = {np.dtype(name): number for number, name in TYPES.items()}
 
 # More than any material has.
@@ -63,15 +60,9 @@ def write(fields: dict[str, Numbers], stream: BinaryIO) -> None:
     """Write a dictionary of arrays to a binary stream."""
     names = {name: name.encode() for name in fields}
     fields = {name: np.ascontiguousarray(array) for name, array in fields.items()}
-    place = (
-        len(MAGIC)
-        + 2
-        + 4
-        + sum(
-            2 + len(names[name]) + 2 + 1 + 8 + 8 * array.ndim
-            for name, array in fields.items()
-        )
-    )
+    place = len(MAGIC) + 2 + 4
+    for name, array in fields.items():
+        place += 2 + len(names[name]) + 2 + 1 + 8 + 8 * array.ndim
     head = MAGIC + bytes(VERSION) + struct.pack("<I", len(fields))
     body = b""
     for name, array in fields.items():
@@ -106,10 +97,8 @@ def read(stream: BinaryIO) -> dict[str, Numbers]:
         require(kind in TYPES, f"its field {name:.40} has the unknown type {kind}")
         shape = _numbers(stream, f"<{n_axes}Q")
         n_bytes = math.prod(shape) * np.dtype(TYPES[kind]).itemsize
-        require(
-            place + n_bytes <= size,
-            f"its field {name:.40} of shape {shape} does not fit into {size} bytes",
-        )
+        reason = f"its field {name:.40} of shape {shape} does not fit into {size} bytes"
+        require(place + n_bytes <= size, reason)
         headers[name] = place, n_bytes, TYPES[kind], shape
     fields = {}
     for name, (place, n_bytes, kind, shape) in headers.items():
@@ -172,10 +161,8 @@ def _check_shapes(fields: dict[str, NDArray[np.generic]]) -> None:
         )
         for axis, size in zip(axes, field.shape):
             least = 2 if axis.endswith(INTERPOLATED) else axis != "letters"
-            require(
-                size == sizes.setdefault(axis, size) and size >= least,
-                f"its field {name} of shape {field.shape} does not fit the others",
-            )
+            reason = f"its field {name} of shape {field.shape} does not fit the others"
+            require(size == sizes.setdefault(axis, size) and size >= least, reason)
 
 
 def _check_values(fields: dict[str, NDArray[np.generic]]) -> None:

@@ -128,20 +128,16 @@ def figure_title(record: Record, index: int, stokes: Floats | None = None) -> st
         direction += f" ({index + 1} of {len(record)} directions)"
     facts = [direction, "back side" if record.asked.side == "back" else ""]
     rays = [sent_text(single.tallies)]
-    words = (
-        METHOD_SETTINGS if single.ledger.emitted else METHOD_SETTINGS[:1]
-    )  # integrals draw no samples
+    # integrals draw no samples
+    words = METHOD_SETTINGS if single.ledger.emitted else METHOD_SETTINGS[:1]
     rays += [f"{settings[key]} {key}" for key in words if key in settings]
     rays += [
         f"{key} {settings[key]}"
         for key, default in DEFAULTS.items()
         if settings.get(key, default) != default
     ]
-    lines = [
-        _name(record, MAX_TITLE),
-        _items([*filter(None, facts), str(record.subdivision)]),
-        _items(rays),
-    ]
+    lines = [_name(record, MAX_TITLE)]
+    lines += [_items([*filter(None, facts), str(record.subdivision)]), _items(rays)]
     totals = [
         _total(of, *_of_light(single, of, stokes))
         for of in ("dhr", "dht")[: single.n_hemispheres]
@@ -251,15 +247,9 @@ def animation(
         Image.fromarray(_frame(record, number, scales, len(shown)))
         for number in counted(shown, progress, desc="animation", unit="frame")
     ]
+    frames = {"save_all": True, "append_images": images[1:], "loop": 0}
     with replacing(path) as stream:
-        images[0].save(
-            stream,
-            format="GIF",
-            save_all=True,
-            append_images=images[1:],
-            duration=1000 // FRAMES_PER_SECOND,
-            loop=0,
-        )
+        images[0].save(stream, "GIF", duration=1000 // FRAMES_PER_SECOND, **frames)
 
 
 def _frame(record: Record, number: int, scales: dict[str, Any], n_shown: int) -> Any:
@@ -294,9 +284,8 @@ def _common_scale(record: Record, of: str) -> Any:
     """Colour scale of the values of all directions."""
     from .polar_map import scale_of, shown_values
 
-    return scale_of(
-        np.concatenate([shown_values(one, of)[1].compressed() for one in record])
-    )
+    values = [shown_values(one, of)[1].compressed() for one in record]
+    return scale_of(np.concatenate(values))
 
 
 def _direction(record: Record, number: int) -> str:
@@ -305,8 +294,7 @@ def _direction(record: Record, number: int) -> str:
 
 def _name(record: Record, longest: int) -> str:
     """The specimen in one line."""
-    name = " ".join(record.provenance.name.split())
-    return abridged(name, longest)
+    return abridged(" ".join(record.provenance.name.split()), longest)
 
 
 def _title_of_stack(record: Record, n_shown: int) -> str:

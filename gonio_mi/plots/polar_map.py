@@ -57,16 +57,8 @@ def add_legend(place: Any, maps: Iterable[Axes], **where: Any) -> None:
         handles, labels = axes.get_legend_handles_labels()
         marks |= dict(zip(labels, handles))
     if marks:
-        place.legend(
-            marks.values(),
-            marks.keys(),
-            ncols=3,
-            frameon=False,
-            fontsize="small",
-            handletextpad=0.3,
-            columnspacing=1.5,
-            **where,
-        )
+        where |= {"frameon": False, "fontsize": "small", "handletextpad": 0.3}
+        place.legend(marks.values(), marks.keys(), ncols=3, columnspacing=1.5, **where)
 
 
 def shown_values(
@@ -188,29 +180,20 @@ def colour_bar(
 
 def _label_grid(axes: Axes) -> None:
     """Write the angles of the circles, and draw ticks of phi_o."""
+    style: dict[str, Any] = {"color": "w", "size": "x-small", "va": "center"}
     for theta in CIRCLES[:-1]:
         radius = math.sin(math.radians(theta))
         at = radius * math.cos(math.radians(75)), radius * math.sin(math.radians(75))
-        axes.annotate(
-            f"{theta}°",
-            at,
-            color="w",
-            size="x-small",
-            ha="center",
-            va="center",
-            path_effects=_outlined(1.5),
-        )
+        style |= {"ha": "center", "path_effects": _outlined(1.5)}
+        axes.annotate(f"{theta}°", at, **style)
     for phi in range(0, 360, 30):
         x, y = math.cos(math.radians(phi)), math.sin(math.radians(phi))
         axes.plot([x, 1.025 * x], [y, 1.025 * y], c="0.2", lw=0.8)
         if phi % 90 == 0:
-            axes.annotate(
-                r"$\varphi_o$ = 0°" if phi == 0 else f"{phi}°",
-                (1.05 * x, 1.05 * y),
-                size="small",
-                ha=("left", "center", "right", "center")[phi // 90],
-                va=("center", "bottom", "center", "top")[phi // 90],
-            )
+            text = r"$\varphi_o$ = 0°" if phi == 0 else f"{phi}°"
+            ha = ("left", "center", "right", "center")[phi // 90]
+            va = ("center", "bottom", "center", "top")[phi // 90]
+            axes.annotate(text, (1.05 * x, 1.05 * y), size="small", ha=ha, va=va)
 
 
 def border_note(single: Record) -> str:

@@ -86,9 +86,7 @@ def plot_mueller(
             place.set_title("M00", fontsize="small")
         else:
             values = _over(matrices[..., i, j], light)
-            mesh = draw_patches(
-                place, single, of, signed, colours="RdBu_r", values=values
-            )
+            mesh = draw_patches(place, single, of, signed, "", "RdBu_r", values=values)
             place.set_title(f"M{i}{j} / M00", fontsize="small")
     colour_bar(figure, mesh, axes[:, -1], "element over M00")
     add_legend(figure, axes.ravel(), loc="outside lower center")
@@ -131,8 +129,7 @@ def plot_stokes(
     single, vector = chosen(record, index), checked_stokes(stokes)
     shown = received(single)
     figure = new_figure(path, figsize=(12, 4 * len(shown) + 3.8))
-    heights = (1.05 * len(shown), 1)
-    above, below = figure.subfigures(2, 1, height_ratios=heights)
+    above, below = figure.subfigures(2, 1, height_ratios=(1.05 * len(shown), 1))
     from .polar_map import add_legend
 
     maps: list[Any] = []
@@ -178,21 +175,14 @@ def _draw_state(
         for x in (degree, circular)
     )
     ends = max(most_circular, MIN_DEGREE)
+    to_most, signed = Normalize(0, max(most, MIN_DEGREE)), Normalize(-ends, ends)
+    of_degree = f"degree of polarisation, at most {most:.2g}"
+    of_circular = f"circular part V / I, |V / I| at most {most_circular:.2g}"
     states = [
         (light, scale_of(light[light > 0]), "viridis", bar_label(single, of)),
-        (
-            degree,
-            Normalize(0, max(most, MIN_DEGREE)),
-            "magma",
-            f"degree of polarisation, at most {most:.2g}",
-        ),
+        (degree, to_most, "magma", of_degree),
         (angle, Normalize(-90, 90), "twilight", "angle from s to p (degrees)"),
-        (
-            circular,
-            Normalize(-ends, ends),
-            "RdBu_r",
-            f"circular part V / I, |V / I| at most {most_circular:.2g}",
-        ),
+        (circular, signed, "RdBu_r", of_circular),
     ]
     note = border_note(single)
     for place, (values, scale, colours, label) in zip(axes, states):
@@ -252,12 +242,8 @@ def _draw(
 ) -> None:
     """Draw a curve with its name."""
     draw_curve(axes, cut, channel, colour, of, width)
-    style = {
-        "marker": "o",
-        "ms": 3 * width,
-        "lw": width,
-        "mfc": None if of == "brdf" else "w",
-    }
+    filling = None if of == "brdf" else "w"
+    style = {"marker": "o", "ms": 3 * width, "lw": width, "mfc": filling}
     axes.plot([], [], c=colour, label=label, **style)
 
 

@@ -260,10 +260,8 @@ def plane_text(single: Record) -> str:
     if not beside:
         return text
     drawn = " and ".join(f"{begin:.4g}° to {end:.4g}°" for begin, end in beside)
-    return (
-        f"{text}\nThis is a border of sectors: drawn are those of "
-        rf"$\varphi_o$ = {drawn}"
-    )
+    border = r"This is a border of sectors: drawn are those of $\varphi_o$ ="
+    return f"{text}\n{border} {drawn}"
 
 
 def _scale(axes: "Axes", positive: Floats, limits: Floats) -> None:
@@ -360,11 +358,8 @@ def drawn_in_rings(
     """
     if not isinstance(patches, ShirleyChiu):
         return patches.in_rings(values)
-    theta, phi = (
-        tuple(map(float, range(0, end + FINE_STEP_DEG, FINE_STEP_DEG)))
-        for end in (90, 360)
-    )
-    fine = Borders(theta, phi)
+    steps = tuple(map(float, range(0, 360 + FINE_STEP_DEG, FINE_STEP_DEG)))
+    fine = Borders(steps[: 90 // FINE_STEP_DEG + 1], steps)
     index = patches.patch(direction(*fine.middles))
     flat = values.reshape(*values.shape[:-3], -1, values.shape[-1])
     return fine, flat[..., index, :]

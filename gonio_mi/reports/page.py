@@ -13,19 +13,17 @@ from ..files import check_output, replacing
 from ..plots.figure import check_matplotlib
 
 
-def check_page(
-    path: str | PathLike[str], check_package: Callable[[], None] = check_matplotlib
-) -> None:
+def check_page(path: str | PathLike[str]) -> None:
     """Raise one clear sentence unless a page can be drawn and written to `path`.
 
     Raises
     ------
     ImportError
-        Without the package that draws it.
+        Without matplotlib.
     ValueError, OSError
         If the ending is not ``.html``, or the file cannot be written.
     """
-    check_package()
+    check_matplotlib()
     check_output(path, (".html",))
 
 

@@ -7,6 +7,7 @@ import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from importlib import resources
+from importlib.util import find_spec
 from itertools import groupby
 from os import PathLike
 from typing import Any
@@ -25,6 +26,7 @@ from ..errors import (
     abridged_apart,
     to_install,
 )
+from ..files import check_output
 from ..plots import plot, plot_mueller, sheet
 from ..plots.figure import evenly
 from ..plots.plot import received
@@ -33,7 +35,7 @@ from ..results.record import Record
 from ..results.summary import Summary, summarize
 from ..results.summary_text import percent, summary_text, total_cells
 from ..results.tally import grouped
-from .page import check_page, figure, picture_and_text, save_page
+from .page import figure, picture_and_text, save_page
 
 # Patch values of one record, over all directions, hemispheres and channels, that a
 # browser still shows with ease: 1000 directions of two hemispheres of 30x90 patches.
@@ -146,14 +148,9 @@ def check_report(path: str | PathLike[str]) -> None:
     ValueError, OSError
         If the ending is not ``.html``, or the file cannot be written.
     """
-    check_page(path, _check_plotly)
-
-
-def _check_plotly() -> None:
-    try:
-        import plotly.offline  # noqa: F401
-    except ImportError:
-        raise PackageError(f"reports need plotly: {to_install('report')}") from None
+    if find_spec("plotly") is None:
+        raise PackageError(f"reports need plotly: {to_install('report')}")
+    check_output(path, (".html",))
 
 
 def notebook_view(record: Record) -> str:
@@ -162,14 +159,10 @@ def notebook_view(record: Record) -> str:
     Without matplotlib there are the numbers alone.
     """
     summary = summarize(record)
-    warnings = "".join(
-        f"<p>Warning: {html.escape(one)}</p>" for one in summary.warnings
-    )
-    shown = picture_and_text(
-        lambda: sheet(record) if len(record) > 1 else plot(record),
-        summary_text(replace(summary, warnings=[])),
-        "numbers",
-    )
+    warnings = "".join(f"<p>Warning: {html.escape(w)}</p>" for w in summary.warnings)
+    text = summary_text(replace(summary, warnings=[]))
+    draw = sheet if len(record) > 1 else plot
+    shown = picture_and_text(lambda: draw(record), text, "numbers")
     return f"<p><code>{html.escape(repr(record))}</code></p>{warnings}{shown}"
 
 
@@ -179,15 +172,11 @@ def names_apart(records: Sequence[Record]) -> list[str]:
     The specimens, with the settings in which records of the same name differ; alike
     only if all of these are.
     """
-    specimens = [one.provenance.name for one in records]
-    names = abridged_apart(specimens, LABEL)
-    texts: list[list[str]] = [[f"collector {one.subdivision}"] for one in records]
-    for text, one in zip(texts, records):
-        text += (
-            f"{key} {one.settings.get(key, 'unknown')}"
-            for key in DISTINGUISHING_SETTINGS
-        )
-    for column in zip(*texts):
+    names = abridged_apart([one.provenance.name for one in records], LABEL)
+    columns = [[f"collector {one.subdivision}" for one in records]]
+    for key in DISTINGUISHING_SETTINGS:
+        columns.append([f"{key} {r.settings.get(key, 'unknown')}" for r in records])
+    for column in columns:
         said = {*zip(names, column)}
         unlike = {name for name in names if sum(n == name for n, _ in said) > 1}
         names = [
@@ -255,12 +244,10 @@ def _direction(summary: Summary, index: int) -> dict[str, Any]:
     exact = summary.integrals and not emitted
     kinds = ("largest error", "limits") if exact else ("std_err", "95 % interval")
     rows = [["", "value", *kinds]]
-    totals = {"dhr": found.dhr, "dht": found.dht, "direct": found.direct}
-    for name, of_channels in totals.items():
-        for total in of_channels or []:
-            channel = total.channel if len(found.dhr) > 1 else ""
-            value, error, low, high = total_cells(total)
-            rows.append([f"{name} {channel}", value, error, f"{low} to {high}"])
+    for name, total in found.totals:
+        channel = total.channel if len(found.dhr) > 1 else ""
+        value, error, low, high = total_cells(total)
+        rows.append([f"{name} {channel}", value, error, f"{low} to {high}"])
     if exact:
         rows.append(["rays", "none: integrals", "", ""])
     else:
@@ -312,9 +299,8 @@ def _rounded(values: Floats) -> Singles:
     """Numbers of `MANTISSA_BITS` bits, which deflate well; NaN where not finite."""
     mantissa, exponent = np.frexp(values)
     mantissa = np.round(mantissa * 2**MANTISSA_BITS) / 2**MANTISSA_BITS
-    return np.where(np.isfinite(values), np.ldexp(mantissa, exponent), np.nan).astype(
-        "<f4"
-    )
+    rounded = np.where(np.isfinite(values), np.ldexp(mantissa, exponent), np.nan)
+    return rounded.astype("<f4")
 
 
 def _packed(*arrays: NDArray[Any]) -> str:

@@ -86,13 +86,18 @@ class DirectionSummary:
     n_lobe: int
     rel_err_lobe: float | None
 
+    @property
+    def totals(self) -> list[tuple[str, Total]]:
+        """All totals with the names of their quantities."""
+        every = {"dhr": self.dhr, "dht": self.dht, "direct": self.direct}
+        return [(name, one) for name, totals in every.items() for one in totals or []]
+
     def exceeds_error(self, row: str) -> bool:
         """Whether a row of the ledger is above the totals' statistical error."""
-        totals = self.dhr + (self.dht or [])
         # half the interval, where it is known
         errors = [
             (one.high - one.low) / 2
-            for one in totals
+            for one in self.dhr + (self.dht or [])
             if one.high is not None and one.low is not None
         ]
         return self.ledger[row] > max([MAX_STRAY, *errors]) * self.ledger["emitted"]
@@ -154,14 +159,12 @@ class Summary:
         """
         record = self.record
         settings = {key: _known(value) for key, value in record.settings.items()}
+        settings["collector"] = str(record.subdivision)
+        settings["hemispheres"] = "both" if record.has_lower else "upper"
+        settings["channels"] = list(record.channels)
         return {
             "integrals": self.integrals,
-            "settings": settings
-            | {
-                "collector": str(record.subdivision),
-                "hemispheres": "both" if record.has_lower else "upper",
-                "channels": list(record.channels),
-            },
+            "settings": settings,
             "level": LEVEL,
             "directions": [
                 asdict(one) | _matrices(record[i])

@@ -143,13 +143,10 @@ def _totals_text(summary: Summary, most_rows: int) -> str:
         one for one in summary.directions if (one.theta_i, one.phi_i) not in copies
     ] or summary.directions
     for one in measured:
-        totals = {"dhr": one.dhr, "dht": one.dht}
-        if one.ledger["direct"]:
-            totals["direct"] = one.direct
-        for quantity, of_channels in totals.items():
-            for total in of_channels or []:
-                angles = [_angle(one.theta_i), _angle(one.phi_i)]
-                rows.append([*angles, quantity, total.channel, *total_cells(total)])
+        angles = [_angle(one.theta_i), _angle(one.phi_i)]
+        for of, total in one.totals:
+            if of != "direct" or one.ledger["direct"]:
+                rows.append([*angles, of, total.channel, *total_cells(total)])
                 shown.append(total)
     left_out = len(summary.directions) - len(measured)
     said = f"\n{left_out} copies of these are left out" if left_out else ""
@@ -246,12 +243,14 @@ def _greatest(record: Record, stokes: Sequence[float]) -> str:
 
 
 def total_cells(total: Total) -> list[str]:
-    """Texts of a total, its standard error, and the ends of its interval."""
+    """Texts of a total, its standard error or rounding, and its interval's ends."""
     decimals = _decimals(total.value, total.std_err)
-    value, low, high = (
-        _fixed(one, decimals) for one in (total.value, total.low, total.high)
-    )
-    return [value, _std_err(total, decimals), low, high]
+    error = _fixed(total.std_err, decimals)
+    rounding = ROUNDING * abs(total.value or 0)
+    if total.std_err and total.std_err < rounding:
+        error = f"<{rounding:.{decimals}f}"
+    ends = [_fixed(one, decimals) for one in (total.low, total.high)]
+    return [_fixed(total.value, decimals), error, *ends]
 
 
 def _copies(summary: Summary) -> set[tuple[float | None, float | None]]:
@@ -300,10 +299,10 @@ def _patches_text(summary: Summary) -> str:
     """How well the patches are known, and the worst of them."""
     directions = summary.directions
     only_integrals = without_chance(summary.record.tallies)
-    n = sum(direction.n_patches for direction in directions)
-    empty = sum(direction.n_without_hit for direction in directions)
-    pooled = sum(direction.n_pooled for direction in directions)
-    lobe = sum(direction.n_lobe for direction in directions)
+    n, empty, pooled, lobe = (
+        sum(getattr(direction, f"n_{name}") for direction in directions)
+        for name in ("patches", "without_hit", "pooled", "lobe")
+    )
     errors = [direction.rel_err_lobe for direction in directions]
     text = f"{grouped(n)}, of which "
     if not summary.integrals:
@@ -395,14 +394,6 @@ def _decimals(value: float | None, std_err: float | None) -> int:
 def _rounded(value: float, decimals: int) -> str:
     """Text of so many decimals, without a sign of zero."""
     return f"{round(float(value), decimals) + 0.0:.{decimals}f}"
-
-
-def _std_err(total: Total, decimals: int) -> str:
-    """Text of a standard error, or of the rounding in which it is lost."""
-    rounding = ROUNDING * abs(total.value or 0)
-    if total.std_err and total.std_err < rounding:
-        return f"<{rounding:.{decimals}f}"
-    return _fixed(total.std_err, decimals)
 
 
 def _of_part(std_err: float) -> str:

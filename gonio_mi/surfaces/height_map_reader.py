@@ -39,28 +39,23 @@ def read(path: str, formats: Sequence[str]) -> tuple[dict[str, Any], Any]:
 
     Row 0 of the heights is the first of the file. Whatever is wrong raises ValueError.
     """
+    first: Exception | None = None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            return _first_of(path, formats)
+            for name in formats:
+                try:
+                    return _tiff(path) if name == "tiff" else _map(path, name)
+                except Exception as error:
+                    first = first or error
+                    if isinstance(error, (MemoryError, LabelsError)):
+                        raise
+            raise first or ValueError("no format was asked for")
     except MemoryError:
         raise ValueError("it asks for more memory than such a file can fill") from None
     except Exception as error:  # the library's readers raise anything
         said = " ".join(str(error).split()) or type(error).__name__
         raise ValueError(said) from error
-
-
-def _first_of(path: str, formats: Sequence[str]) -> tuple[dict[str, Any], Any]:
-    """What the first of the formats that takes the file makes of it."""
-    said: Exception | None = None
-    for name in formats:
-        try:
-            return _tiff(path) if name == "tiff" else _map(path, name)
-        except Exception as error:
-            said = said or error
-            if isinstance(error, (MemoryError, LabelsError)):
-                raise
-    raise said or ValueError("no format was asked for")
 
 
 def _map(path: str, name: str) -> tuple[dict[str, Any], Any]:
@@ -123,14 +118,10 @@ def _tiff(path: str) -> tuple[dict[str, Any], Any]:
     if pixels.ndim != 2 or pixels.dtype.kind not in "uif":
         raise ValueError(f"its pixels are {pixels.dtype} of shape {pixels.shape}")
     whole = pixels.dtype.kind in "ui"
-    return {
-        "format": "TIFF",
-        "channel": "first channel",
-        "spacing": None,
-        "unit": None,
-        "periodic": None,
-        "codes": int(np.iinfo(pixels.dtype).max) if whole else None,
-    }, pixels.astype(float)
+    facts: dict[str, Any] = dict.fromkeys(("spacing", "unit", "periodic"))
+    facts |= {"format": "TIFF", "channel": "first channel"}
+    facts["codes"] = int(np.iinfo(pixels.dtype).max) if whole else None
+    return facts, pixels.astype(float)
 
 
 def _main(path: str, formats: str, out: str) -> int:

@@ -101,19 +101,17 @@ def read_height_map(
         raise SpecimenError(f"heightfield.filename: {no_file(path)}")
     ending = path.suffix[1:].lower()
     if ending == "npy":
-        return HeightMap(_npy(path), path.name)
+        try:  # nothing else that NumPy loads by its content
+            return HeightMap(np.lib.format.open_memmap(path, mode="r"), path.name)
+        except Exception as error:  # a damaged header is evaluated as Python
+            raise unreadable(path, error) from None
     if ending in READERS:
         return _foreign(path, READERS[ending])
-    pixels = read_image(path)
-    return HeightMap(_grid(pixels), path.name, codes=_codes(pixels.dtype))
-
-
-def _npy(path: Path) -> Any:
-    """Array of a ``.npy`` file, and of nothing else that NumPy loads by its content."""
-    try:
-        return np.lib.format.open_memmap(path, mode="r")
-    except Exception as error:  # a damaged header is evaluated as Python
-        raise unreadable(path, error) from None
+    pixels: Any = read_image(path)
+    codes = int(np.iinfo(pixels.dtype).max) if pixels.dtype.kind in "ui" else None
+    if pixels.ndim == 3 and pixels.size:
+        pixels = pixels[..., 0]
+    return HeightMap(pixels, path.name, codes=codes)
 
 
 def unreadable(path: Path, error: Exception) -> SpecimenError:
@@ -122,15 +120,6 @@ def unreadable(path: Path, error: Exception) -> SpecimenError:
         f"heightfield.filename must be an image, a .npy file or a file of a "
         f"profilometer, got {path}: {error}"
     )
-
-
-def _grid(array: NDArray[np.generic]) -> Any:
-    """First channel of an array of pixels."""
-    return array[..., 0] if array.ndim == 3 and array.size else array
-
-
-def _codes(dtype: np.dtype[Any]) -> int | None:
-    return int(np.iinfo(dtype).max) if dtype.kind in "ui" else None
 
 
 def _foreign(path: Path, formats: str) -> HeightMap:
@@ -144,14 +133,9 @@ def _foreign(path: Path, formats: str) -> HeightMap:
         facts, heights = read_apart(str(path), formats.split(","))
     except ValueError as error:
         raise FileFormatError(f"{path} cannot be read: {error}") from None
-    return HeightMap(
-        heights,
-        f"{path.name} ({facts['format']}, {facts['channel']})",
-        spacing=None if facts["spacing"] is None else tuple(facts["spacing"]),
-        unit=facts["unit"],
-        periodic=facts["periodic"],
-        codes=facts.get("codes"),
-    )
+    source = f"{path.name} ({facts.pop('format')}, {facts.pop('channel')})"
+    spacing = facts.pop("spacing")
+    return HeightMap(heights, source, spacing and tuple(spacing), **facts)
 
 
 def read_apart(path: str, formats: Sequence[str]) -> tuple[dict[str, Any], Floats]:

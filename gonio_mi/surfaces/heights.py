@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..array_types import Flags, Floats, Integers
 from ..errors import (
@@ -136,9 +137,8 @@ def gaussian_heights(
     limit = (2 * np.pi / shortest * (1 + 1e-9)) ** 2
     power *= (k_x * stretch) ** 2 + (k_y / stretch) ** 2 <= limit
     power[0, 0] = 0
-    scale = np.sqrt(
-        alpha_u * alpha_v / _expected_alphas(power, k_x, k_y, n_x, spacing).prod()
-    )
+    expected = _expected_alphas(power, k_x, k_y, n_x, spacing)
+    scale = np.sqrt(alpha_u * alpha_v / expected.prod())
     noise = np.random.default_rng(seed).standard_normal((n_y, n_x))
     spectrum = np.fft.rfft2(noise)
     spectrum *= scale * np.sqrt(power)
@@ -146,11 +146,7 @@ def gaussian_heights(
 
 
 def _expected_alphas(
-    power: NDArray[np.floating],
-    k_x: NDArray[np.floating],
-    k_y: NDArray[np.floating],
-    n_x: int,
-    spacing: float,
+    power: Floats, k_x: Any, k_y: Any, n_x: int, spacing: float
 ) -> Floats:
     """Both alphas of unit white noise that is filtered with `power`, in expectation.
 
@@ -172,9 +168,7 @@ def _expected_alphas(
 
 
 def height_statistics(
-    heights: ArrayLike,
-    spacing: float | tuple[float, float],
-    periodic: bool = True,
+    heights: ArrayLike, spacing: float | tuple[float, float], periodic: bool = True
 ) -> HeightStatistics:
     """:class:`HeightStatistics` of a grid of heights.
 

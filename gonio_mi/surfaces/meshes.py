@@ -42,26 +42,19 @@ def read_stl(path: str | PathLike[str]) -> Floats:
     """
     data = Path(path).read_bytes()
     try:
-        vertices = _binary(data) if _is_binary(data) else _text(data)
+        start, n = HEADER + COUNT, 0
+        if len(data) >= start:
+            n = int(np.frombuffer(data, "<u4", 1, HEADER)[0])
+        # as long as a binary file says; those may begin like text
+        if len(data) == start + n * TRIANGLE.itemsize:
+            vertices = np.frombuffer(data, TRIANGLE, offset=start)["vertices"]
+        else:
+            vertices = _text(data)
         require(len(vertices) > 0, "it holds no triangle")
         require(bool(np.isfinite(vertices).all()), "a vertex is not finite")
     except (FileFormatError, ValueError) as error:
         raise FileFormatError(f"cannot load {path}: {error}") from None
-    return vertices
-
-
-def _is_binary(data: bytes) -> bool:
-    """Whether the file is as long as a binary one says; those may begin like text."""
-    start = HEADER + COUNT
-    if len(data) < start:
-        return False
-    n = int(np.frombuffer(data, "<u4", 1, HEADER)[0])
-    return len(data) == start + n * TRIANGLE.itemsize
-
-
-def _binary(data: bytes) -> Floats:
-    triangles = np.frombuffer(data, TRIANGLE, offset=HEADER + COUNT)
-    return triangles["vertices"].astype(float)
+    return vertices.astype(float)
 
 
 def _text(data: bytes) -> Floats:
@@ -70,11 +63,8 @@ def _text(data: bytes) -> Floats:
         "it is no STL file: neither text that begins with solid, nor as long as its "
         "number of triangles says",
     )
-    numbers = [
-        decimal(word.decode("ascii", "replace"))
-        for vertex in VERTEX.findall(data)
-        for word in vertex
-    ]
+    words = [word for vertex in VERTEX.findall(data) for word in vertex]
+    numbers = [decimal(word.decode("ascii", "replace")) for word in words]
     facets = len(re.findall(rb"\bendfacet\b", data))
     require(len(numbers) == 9 * facets, "its facets must have three vertices each")
     return np.reshape(numbers, (-1, 3, 3))

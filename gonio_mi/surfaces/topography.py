@@ -22,18 +22,8 @@ from .heights import (
 )
 
 # The micro sign and the Greek letter are two characters.
-UNITS = {
-    "m": 1.0,
-    "cm": 1e-2,
-    "mm": 1e-3,
-    "um": 1e-6,
-    "µm": 1e-6,
-    "μm": 1e-6,
-    "nm": 1e-9,
-    "Å": 1e-10,
-    "pm": 1e-12,
-    "in": 0.0254,
-}
+UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3} | dict.fromkeys(("um", "µm", "μm"), 1e-6)
+UNITS |= {"nm": 1e-9, "Å": 1e-10, "pm": 1e-12, "in": 0.0254}
 
 
 def metres(unit: str) -> float:
@@ -118,26 +108,18 @@ class Topography:
         centred = heights - heights.mean()
         shape = ": the map is flat"
         if s.rms_height:
-            skewness, kurtosis = (
-                float(np.mean(centred**n)) / s.rms_height**n for n in (3, 4)
-            )
-            shape = f", skewness {skewness:.3g}, kurtosis {kurtosis:.3g}"
+            of = (float(np.mean(centred**n)) / s.rms_height**n for n in (3, 4))
+            shape = ", skewness {:.3g}, kurtosis {:.3g}".format(*of)
         (n_y, n_x), (x, y), (dx, dy) = heights.shape, self.extent, self.spacing
         joined = "joined at its borders" if self.periodic else "not joined"
+        extremes = f"{heights.min():.4g} to {heights.max():.4g}"
+        alphas = f"{s.alpha_u:.4g} x {s.alpha_v:.4g}"
         lines = [
             ("surface", self.source),
             ("points", f"{n_x} x {n_y}, {dx:.4g} x {dy:.4g} {unit} apart"),
             ("extent", f"{x:.4g} x {y:.4g} {unit}, {joined}"),
-            (
-                "heights",
-                f"{heights.min():.4g} to {heights.max():.4g} {unit}, rms "
-                f"{s.rms_height:.4g}{shape}",
-            ),
-            (
-                "slopes",
-                f"rms {_rms_slopes(s)} degrees, alpha {s.alpha_u:.4g} x "
-                f"{s.alpha_v:.4g}",
-            ),
+            ("heights", f"{extremes} {unit}, rms {s.rms_height:.4g}{shape}"),
+            ("slopes", f"rms {_rms_slopes(s)} degrees, alpha {alphas}"),
         ]
         if lengths := s.correlation_lengths:
             lines.append(("lengths", f"autocorrelation 1/e after {lengths} {unit}"))
@@ -161,7 +143,14 @@ class Topography:
                 f"{s.alpha_u:.3g} x {s.alpha_v:.3g}, an rms slope of {degrees:.4g} "
                 "degrees: heights and size must be in one unit; see scale, range, size"
             )
-        found += self._steps()
+        if steps := self._slope_steps():
+            unit = "" if self.unit is None else f" {self.unit}"
+            found.append(
+                f"the heights of {self.source} come in steps of {self.step:.3g}{unit}, "
+                f"and slopes in steps of {steps[0]:.3g}, which is {steps[1]}: smooth "
+                "facets send light to other patches than those of the surface would; "
+                "take 16 bits or floats, smooth the heights, or make it of a rough BSDF"
+            )
         if self.unit in UNITS:
             found += self._waves(s, VISIBLE / UNITS[self.unit])
         return found
@@ -191,19 +180,6 @@ class Topography:
             return None
         return slope, f"{100 * slope / rms:.3g} % of the rms slope"
 
-    def _steps(self) -> list[str]:
-        """What heights of few bits do to slopes."""
-        steps = self._slope_steps()
-        if steps is None:
-            return []
-        unit = "" if self.unit is None else f" {self.unit}"
-        return [
-            f"the heights of {self.source} come in steps of {self.step:.3g}{unit}, and "
-            f"slopes in steps of {steps[0]:.3g}, which is {steps[1]}: smooth facets "
-            "send light to other patches than those of the surface would; take 16 bits "
-            "or floats, smooth the heights, or make it of a rough BSDF"
-        ]
-
     def _waves(self, s: HeightStatistics, wavelength: float) -> list[str]:
         """What geometric optics leaves out at a wavelength in scene units."""
         found = []
@@ -213,11 +189,9 @@ class Topography:
             u, v = self._alphas_over(wavelength)
             # a slope that single precision leaves of heights is none
             rounding = 2 * ROUNDING * float(abs(self.heights).max()) / least
-            changed = (
-                abs(over - alpha) > max(MAX_ALPHA_CHANGE * alpha, rounding)
-                for over, alpha in ((u, s.alpha_u), (v, s.alpha_v))
-            )
-            if any(changed):
+            both = np.array([s.alpha_u, s.alpha_v])
+            limits = np.maximum(MAX_ALPHA_CHANGE * both, rounding)
+            if (abs(np.array([u, v]) - both) > limits).any():
                 found.append(
                     f"the facets of {self.source} are smaller than light, {least:.3g} "
                     f"{self.unit} at a wavelength of {shown}: this is geometric "
@@ -245,10 +219,9 @@ class Topography:
             lag = min(max(1.0, length / step), n - 1.0)
             whole, part = int(lag), lag % 1
             behind = np.arange(n if self.periodic else n - math.ceil(lag))
-            here, low, high = (
-                self.heights.take(behind + i, axis, mode="wrap")
-                for i in (0, whole, math.ceil(lag))
-            )
+            lags = (0, whole, math.ceil(lag))
+            take = self.heights.take
+            here, low, high = (take(behind + i, axis, mode="wrap") for i in lags)
             rise = low * (1 - part) + high * part - here
             alphas.append(math.sqrt(2 * np.mean(rise**2)) / (lag * step))
         return alphas[0], alphas[1]
@@ -364,15 +337,10 @@ def topography(given: HeightMap, wanted: Preparation = AS_GIVEN) -> Topography:
     joined = given.periodic if wanted.periodic is None else wanted.periodic
     joined = True if joined is None else joined
     n_y, n_x = (n if joined else n - 1 for n in heights.shape)
-    return Topography(
-        heights,
-        wanted.spacing(given, (n_x, n_y)),
-        joined,
-        ", ".join(done),
-        wanted.unit_of(given),
-        None if step is None else abs(factor) * step,
-        given.spacing is None and wanted.size is None,
-    )
+    step = None if step is None else abs(factor) * step
+    taken = given.spacing is None and wanted.size is None
+    spacing, unit = wanted.spacing(given, (n_x, n_y)), wanted.unit_of(given)
+    return Topography(heights, spacing, joined, ", ".join(done), unit, step, taken)
 
 
 # Levels up to which steps are made on purpose: gratings, diffractive optics.

@@ -78,30 +78,17 @@ def add_options(parser: ArgumentParser) -> None:
     group = parser.add_argument_group("File")
     text = "A file that ends in .xml."
     group.add_argument("-o", "--output", required=True, metavar="FILE", help=text)
-    group.add_argument(
-        "--basis",
-        default="klems",
-        choices=BASES,
-        metavar="BASIS",
-        help="Basis: klems, klems-half or klems-quarter, of 145, 77 or 41 patches in "
-        "each hemisphere, or a tensor tree, tensor3 for isotropic or tensor4 for any "
-        "specimens. Default: klems.",
-    )
+    text = "Basis: klems, klems-half or klems-quarter, of 145, 77 or 41 patches in "
+    text += "each hemisphere, or a tensor tree, tensor3 for isotropic or tensor4 for "
+    text += "any specimens. Default: klems."
+    add_text(group, "--basis", "BASIS", text, choices=BASES, default="klems")
     text = "Cells per axis of a tensor tree, a power of two. Default: 32 or 16."
     add_number(group, "--cells", "N", text)
-    add_text(
-        group,
-        "--solar",
-        "SPECIMEN",
-        "Scene with solar-weighted material data, for the Solar block; not needed "
-        "with wavelengths from 300 to 2500 nm.",
-    )
-    add_text(
-        group,
-        "--solar-bsdf",
-        "BSDF",
-        "The same of a mesh or a height map: its BSDF for all sunlight, in one word.",
-    )
+    text = "Scene with solar-weighted material data, for the Solar block; not needed "
+    text += "with wavelengths from 300 to 2500 nm."
+    add_text(group, "--solar", "SPECIMEN", text)
+    text = "The same of a mesh or a height map: its BSDF for all sunlight, in one word."
+    add_text(group, "--solar-bsdf", "BSDF", text)
     product = parser.add_argument_group("Product")
     text = "Name of the product. Default: the specimen's."
     add_text(product, "--name", "NAME", text)
@@ -141,19 +128,12 @@ def run(options: Namespace) -> int:
 
     product = Product(options.name or options.specimen, options.manufacturer, **sizes)
     started = time.perf_counter()
+    where = specimen, options.output, options.basis
+    settings = given_settings(options) | campaign_options(options)
+    settings |= {"parameters": parameters, "progress": not options.quiet}
+    settings |= {"solar": solar, "product": product, "cells": options.cells}
     with kept_after_ctrl_c(options.folder):
-        records = bsdf(
-            specimen,
-            options.output,
-            options.basis,
-            solar=solar,
-            product=product,
-            cells=options.cells,
-            parameters=parameters,
-            progress=not options.quiet,
-            **campaign_options(options),
-            **given_settings(options),
-        )
+        records = bsdf(*where, **settings)
     seconds = time.perf_counter() - started
     found = properties({name: luminous(one) for name, one in records.items()})
     if options.json:
@@ -207,17 +187,13 @@ def _size(options: Namespace, name: str) -> float | None:
 
 def _table(found: Mapping[str, Mapping[str, Mapping[str, float]]]) -> str:
     """Rows of sides and light, columns of properties, each with its standard error."""
-    rows = {
-        f"{side}, {light}": {
-            key: f"{value:.4f} +- {of_light[f'{key}_std_err']:.1g}"
-            for key, value in of_light.items()
-            if not key.endswith("_std_err")
-        }
-        for side, of_side in found.items()
-        for light, of_light in of_side.items()
-    }
-    names = list(dict.fromkeys(name for row in rows.values() for name in row))
+    sides = [(side, *one) for side, lights in found.items() for one in lights.items()]
+    keys = dict.fromkeys(key for *_, row in sides for key in row)
+    names = [key for key in keys if not key.endswith("_std_err")]
     lines = [["", *names]]
-    lines += [[title, *(row.get(n, "") for n in names)] for title, row in rows.items()]
+    for side, light, row in sides:
+        errors = {key: row.get(f"{key}_std_err", 0.0) for key in names}
+        cells = (f"{row[n]:.4f} +- {errors[n]:.1g}" if n in row else "" for n in names)
+        lines.append([f"{side}, {light}", *cells])
     widths = [max(map(len, column)) for column in zip(*lines)]
     return "\n".join("  ".join(map(str.ljust, line, widths)).rstrip() for line in lines)

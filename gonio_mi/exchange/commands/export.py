@@ -8,6 +8,7 @@ database has them. What was written is read back, and what was lost is said.
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
+from typing import Any
 
 from ... import files
 from ...commands.arguments import DONE, add_text, set_variant, tell
@@ -35,22 +36,13 @@ def add_options(parser: ArgumentParser) -> None:
     """Add the options of the command to its parser."""
     text = "An .exr or .npz file; two for .xml, of the front and of the back."
     add_text(parser, "record", "RECORD", text, nargs="+")
-    parser.add_argument(
-        "-o",
-        "--output",
-        required=True,
-        nargs="+",
-        metavar="OUT",
-        help="Files that end in .csv, .xml, .bsdf, .nc, .h5, .zemax.bsdf, "
-        f".binary or {', '.join(e for e in endings_of('write') if e != '.bsdf')}.",
-    )
-    parser.add_argument(
-        "--basis",
-        choices=BASES,
-        metavar="BASIS",
-        help="Basis of .xml: klems, klems-half, klems-quarter, or a tensor tree, "
-        "tensor3 for isotropic or tensor4 for any materials. Default: klems.",
-    )
+    more = ", ".join(e for e in endings_of("write") if e != ".bsdf")
+    text = "Files that end in .csv, .xml, .bsdf, .nc, .h5, .zemax.bsdf, .binary or "
+    how: Any = {"required": True, "nargs": "+", "metavar": "OUT"}
+    parser.add_argument("-o", "--output", help=f"{text}{more}.", **how)
+    text = "Basis of .xml: klems, klems-half, klems-quarter, or a tensor tree, "
+    text += "tensor3 for isotropic or tensor4 for any materials. Default: klems."
+    add_text(parser, "--basis", "BASIS", text, choices=BASES)
     text = "Report the loss at every incident direction."
     parser.add_argument("--every", action="store_true", help=text)
 

@@ -142,12 +142,8 @@ def bsdf(
 
 def _warn_unless_isotropic(specimen: SpecimenLike, settings: dict[str, Any]) -> None:
     """Warn of a specimen that scatters differently turned by 45 or 90 degrees."""
-    asked = {
-        "rays": TRIAL_RAYS,
-        "rel_err": None,
-        "noise": None,
-        "collector": TRIAL_PATCHES,
-    }
+    asked = {"rays": TRIAL_RAYS, "rel_err": None, "noise": None}
+    asked |= {"collector": TRIAL_PATCHES}
     n = TRIAL_PATCHES.shape[1]
     for side in ("front", "back"):
         azimuths = 7.5, 52.5, 97.5  # middles of sectors

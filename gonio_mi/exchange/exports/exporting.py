@@ -4,13 +4,11 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ...annexes import check_there
 from ...array_types import Floats
-from ...collector.hemisphere import Subdivision
 from ...errors import SettingError, checked_choice, warn
 from ...files import check_output, netcdf, replacing
 from ...files.measured_table import MeasuredTable
@@ -34,13 +32,16 @@ POLARISED = (".csv", ".nc", ".h5")
 # Endings of files that have no place for transmitted light.
 REFLECTION_ONLY = (".bsdf", *endings_of("reflection_only"))
 
-# Fates whose flux no patch receives, and the fraction of all rays from which a warning
-# tells of them.
+# Rays whose flux no patch receives, or by an edge that may be none, and the fraction of
+# all rays from which a warning tells of them.
+NOWHERE = "; their flux is in no patch of the file"
 LOST_FATES = {
-    "sideways": "left sideways",
-    "astray": "went astray: a shape with a medium is open or overlaps another",
-    "truncated": "were truncated by max_depth or max_scatterings",
-    "invalid": "are invalid, by what the BSDF returned",
+    "sideways": f"left sideways{NOWHERE}",
+    "astray": "went astray: a shape with a medium is open or overlaps another"
+    + NOWHERE,
+    "truncated": f"were truncated by max_depth or max_scatterings{NOWHERE}",
+    "invalid": f"are invalid, by what the BSDF returned{NOWHERE}",
+    "over_the_edge": OVER_THE_EDGE,
 }
 MAX_LOST = 1e-3
 
@@ -119,7 +120,6 @@ def export(
             f"{records[0].provenance.variant}"
         )
     for one in records:
-        _warn_of_openings(one)
         _warn_of_lost_light(one)
     if ending not in _FORMATS:
         check_there("materials", f"a file {ending}")
@@ -139,8 +139,12 @@ def export(
 
     if Path(path).name.lower().endswith(ZEMAX):
         return write_zemax(records[0], path)
-    if ending in REFLECTION_ONLY:
-        _warn_of_transmission(records[0], ending)
+    dht = records[0].dht
+    if ending in REFLECTION_ONLY and dht is not None and dht.max() > 0:
+        warn(
+            f"a file {ending} holds reflection only: up to {dht.max():.2%} of the flux "
+            "was transmitted, and is not in it"
+        )
     if ending == ".bsdf":
         return write_measured(records[0], path, progress)
     if ending == ".binary":
@@ -148,15 +152,15 @@ def export(
     return write_grids(records[0], path)
 
 
-def _warn_of_openings(record: Record) -> None:
-    """Warn of light beside the specimen, or over its edges, that the file has not."""
+def _warn_of_lost_light(record: Record) -> None:
+    """Warn of flux that is in no patch, missed the specimen, or left over its edges."""
     ledger = record.ledger
-    over = ledger.over_the_edge / max(ledger.emitted, 1)
-    if record.provenance.edges == "open" and over > MAX_LOST:
-        warn(f"{over:.2%} of the rays {OVER_THE_EDGE}")
-    if not ledger.missed:
-        return
-    directions = summarize(record).directions
+    for row, words in LOST_FATES.items():
+        fraction = getattr(ledger, row) / max(ledger.emitted, 1)
+        counts = row != "over_the_edge" or record.provenance.edges == "open"
+        if counts and fraction > MAX_LOST:
+            warn(f"{fraction:.2%} of the rays {words}")
+    directions = summarize(record).directions if ledger.missed else []
     if any(direction.exceeds_error("missed") for direction in directions):
         warn(
             f"{ledger.missed / ledger.emitted:.2%} of the rays missed the specimen, "
@@ -165,48 +169,18 @@ def _warn_of_openings(record: Record) -> None:
         )
 
 
-def _warn_of_lost_light(record: Record) -> None:
-    """Warn of flux that left the specimen, or was given up, and is in no patch."""
-    ledger = record.ledger
-    for row, words in LOST_FATES.items():
-        fraction = ledger.rows[row] / max(ledger.emitted, 1)
-        if fraction > MAX_LOST:
-            warn(
-                f"{fraction:.2%} of the rays {words}; their flux is in no patch of the "
-                "file"
-            )
-
-
-def _warn_of_transmission(record: Record, ending: str) -> None:
-    """Warn of transmitted flux, which the file does not hold."""
-    most = 0.0 if record.dht is None else float(record.dht.max())
-    if most > 0:
-        warn(
-            f"a file {ending} holds reflection only: up to {most:.2%} of the flux was "
-            "transmitted, and is not in it"
-        )
-
-
 def _csv(record: Record, path: str | PathLike[str]) -> list[Loss]:
     """One table for each quantity and channel."""
     fractions = np.zeros_like(fractions_of(record))
+    known = np.isfinite(record.subdivision.middles[0])
+    projected = record.subdivision.projected_solid_angles[known]
     for (hemisphere, number), name in part_names(record, path).items():
         quantity = ("brdf", "btdf")[hemisphere]
         table = _table(record, quantity, number)
         table.save(name, _elements(record, quantity, number))
-        written = _in_patches(read_measured(name), record.subdivision)
-        fractions[:, hemisphere, ..., number] = written
+        written = read_measured(name).value.reshape(len(record), -1)
+        fractions[:, hemisphere, known, number] = written * projected
     return losses(record, fractions)
-
-
-def _in_patches(table: MeasuredTable, patches: Subdivision) -> Floats:
-    """Flux fractions of a table of middles, shape ``(n_incident, n_theta, n_phi)``."""
-    known = np.isfinite(patches.middles[0])
-    projected = patches.projected_solid_angles
-    values = table.value.reshape(-1, int(known.sum()))
-    fractions = np.zeros((len(values), *projected.shape))
-    fractions[:, known] = values * projected[known]
-    return fractions
 
 
 def _table(record: Record, quantity: str, number: int) -> MeasuredTable:
@@ -218,16 +192,14 @@ def _table(record: Record, quantity: str, number: int) -> MeasuredTable:
     if quantity == "btdf":
         theta = 180 - theta
     one_sigma = 0.6827
-    parts: dict[str, list[Floats]] = {"value": [], "sigma": []}
+    values, sigmas = [], []
     for one in record:
         low, high = one.interval(one_sigma, quantity)
         sigma = getattr(one, f"{quantity}_std_err")
         sigma = np.where(np.isnan(sigma), (high - low) / 2, sigma)
-        parts["value"].append(getattr(one, quantity)[known, number])
-        parts["sigma"].append(sigma[known, number])
-    columns: dict[str, Any] = {key: np.concatenate(of) for key, of in parts.items()}
-    if np.isnan(columns["sigma"]).any():
-        columns["sigma"] = None
+        values.append(getattr(one, quantity)[known, number])
+        sigmas.append(sigma[known, number])
+    sigma = np.concatenate(sigmas)
     exact = record.n_batches < 2 or all(one.binomial for one in record.estimates)
     return MeasuredTable(
         theta_i=np.clip(record.theta_i, 0, None).repeat(n),
@@ -240,7 +212,8 @@ def _table(record: Record, quantity: str, number: int) -> MeasuredTable:
         aperture_half_angle=record.subdivision.aperture_half_angle,
         emitter_half_angle=record.asked.divergence,
         header={"collector": str(record.subdivision)} | record.ray_keys,
-        **columns,
+        value=np.concatenate(values),
+        sigma=None if np.isnan(sigma).any() else sigma,
     )
 
 

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from ...array_types import Floats
-from ...results.record import Record, fractions_of
+from ...errors import SettingError, abridged
+from ...results.record import Record, fractions_of, wavelengths_nm
 from ...single_precision import ROUNDING
 
 ZEMAX = ".zemax.bsdf"
@@ -146,6 +147,20 @@ def in_words(every: Sequence[Loss]) -> list[str]:
 
 def _place(one: Loss) -> str:
     return f"theta_i {one.theta_i:.3g}, phi_i {one.phi_i:.3g}"
+
+
+def check_channels(
+    record: Record, file: str, *, coloured: bool = True, spectral: bool = True
+) -> None:
+    """Raise ValueError for several channels that are no R, G, B and no wavelengths."""
+    channels = record.channels
+    held = len(channels) == 1 or (coloured and channels == ("R", "G", "B"))
+    if held or (spectral and wavelengths_nm(channels) is not None):
+        return
+    kinds = ["one channel", *["R, G, B"] * coloured, *["wavelengths"] * spectral]
+    known = f"{', of '.join(kinds[:-1])} or of {kinds[-1]}"
+    got = abridged(", ".join(channels), 80)
+    raise SettingError(f"{file} takes records of {known}, got {got}")
 
 
 def part_names(

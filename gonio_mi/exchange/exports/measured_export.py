@@ -13,7 +13,7 @@ import numpy as np
 from ...array_types import Floats, Numbers
 from ...collector.directions import direction
 from ...collector.hemisphere import Subdivision
-from ...errors import SettingError, VariantError, abridged
+from ...errors import VariantError, abridged
 from ...files import replacing, tensor_file
 from ...instrument.loading import loaded
 from ...instrument.measure import measure_each
@@ -22,7 +22,7 @@ from ...progress import counted
 from ...results.record import Record, wavelengths_nm
 from ...transport.surface_events import flux_context
 from ...transport.wavelengths import passes, wavelength_lanes
-from .loss import Loss, losses
+from .loss import Loss, check_channels, losses
 
 # Vertices per side of the grid of half vectors.
 GRID = 128
@@ -140,11 +140,7 @@ def _checked_wavelengths(record: Record) -> Floats | None:
             f"{abridged(', '.join(record.channels), 80)}, such as llvm_ad_{wanted}, "
             f"got {mi.variant()}"
         )
-    if wavelengths is None and record.channels not in (("Y",), ("R", "G", "B")):
-        raise SettingError(
-            "a .bsdf file takes records of one channel, of R, G, B or of wavelengths, "
-            f"got {abridged(', '.join(record.channels), 80)}"
-        )
+    check_channels(record, "a .bsdf file")
     return wavelengths
 
 
@@ -153,11 +149,9 @@ def _fields(
 ) -> dict[str, Numbers]:
     """Arrays of the file, except texts."""
     theta_i, phi_i = material.theta_i, material.phi_i
-    if len(phi_i) == 1:
-        origins, azimuths = phi_i, np.zeros(1)
-    else:
-        turned = np.unique(np.mod(phi_i + 180, 360) - 180)
-        azimuths = np.unique([-180, *turned, 180])
+    origins, azimuths = phi_i, np.zeros(1)
+    if len(phi_i) > 1:
+        azimuths = np.unique([-180, *(np.mod(phi_i + 180, 360) - 180), 180])
         origins, phi_i = np.zeros(len(azimuths)), azimuths
     turns = list(zip(np.mod(phi_i, 360).tolist(), origins))  # the first may be the last
     grids = {

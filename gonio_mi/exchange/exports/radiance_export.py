@@ -12,15 +12,15 @@ from ...collector.directions import angles
 from ...collector.hemisphere import Subdivision
 from ...collector.klems import KLEMS
 from ...collector.shirley_chiu import ShirleyChiu
-from ...errors import SettingError, abridged, checked_choice, warn
+from ...errors import SettingError, abridged, warn
 from ...files import replacing
 from ...materials.resampling import Material, resampled, specular_peaks
-from ...results.record import XYZ, Record, fractions_of, wavelengths_nm
+from ...results.record import XYZ, Record, fractions_of
 from ..formats import radiance, radiance_material
-from ..formats.radiance import BASES, RANKS, Product, RadianceBSDF
+from ..formats.radiance import RANKS, Product, RadianceBSDF
 from ..formats.tensor_tree import TensorTree, isotropic_incidence
 from .daylight import VISIBLE, lit_by, of_daylight
-from .loss import Loss, losses
+from .loss import Loss, check_channels, losses
 
 # Cells per axis of tensor trees; those of rank 3 are cheap enough to be finer.
 TREE_SIZES = {3: 64, 4: 32}
@@ -78,7 +78,6 @@ def write_radiance(
         specimens, for `tensor3` if the record has several azimuths of incidence or
         colours, or if its incident directions are no grid.
     """
-    checked_choice("basis", basis, BASES)
     _check_sides(records)
     _check_sides(solar)
     records, solar = of_daylight(records, solar)
@@ -92,9 +91,7 @@ def write_radiance(
     for record in solar:
         only = Side(record, basis, progress).blocks()
         blocks |= {("Solar", key): only["Visible", key] for _, key in only}
-    if product is None:
-        name = records[0].provenance.name
-        product = Product(" ".join(name.split()))
+    product = product or Product(" ".join(records[0].provenance.name.split()))
     with replacing(path) as stream:
         radiance.write(blocks, stream, product)
     with open(path, "rb") as stream:
@@ -129,13 +126,7 @@ def read_back(records: Sequence[Record], path: str | PathLike[str]) -> list[Loss
 def _check_sides(records: Sequence[Record]) -> None:
     """Raise ValueError unless the records are of different sides of one specimen."""
     for record in records:
-        spectral = wavelengths_nm(record.channels) is not None
-        coloured = spectral or record.channels == ("R", "G", "B")
-        if len(record.channels) > 1 and not coloured:
-            raise SettingError(
-                "Radiance's files take records of one channel, of R, G, B or of "
-                f"wavelengths, got {abridged(', '.join(record.channels), 80)}"
-            )
+        check_channels(record, "a Radiance file")
     sides = [record.asked.side for record in records]
     if len(set(sides)) < len(sides):
         raise SettingError(
@@ -152,9 +143,8 @@ def _check_sides(records: Sequence[Record]) -> None:
 
 def _warn_of_missing_side(records: Sequence[Record]) -> None:
     """Warn if the file knows light from one side only."""
-    sides = {record.asked.side for record in records}
-    if len(sides) == 1:
-        side = sides.pop()
+    side = records[0].asked.side
+    if len(records) == 1:
         other = "back" if side == "front" else "front"
         warn(
             f"the file describes light from the {side} only, and the {other} reflects "
@@ -172,7 +162,11 @@ class Side:
         self.face = record.asked.side
         self.hemispheres = range(record.n_hemispheres)
         #: patches of exit of the file
-        self.patches = _patches_of(record, basis)
+        self.patches: Subdivision = record.subdivision
+        if self.rank is None:
+            self.patches = KLEMS[basis]
+        elif not isinstance(self.patches, ShirleyChiu):
+            self.patches = ShirleyChiu(TREE_SIZES[self.rank])
         self.measured = _is_measured(record, basis, self.patches)
         if not self.measured:
             _check_resampled(record, self.rank)
@@ -196,24 +190,16 @@ class Side:
         """Flux fractions of the file's patches, incident times exit times channels."""
         if self.measured:
             return self._in_order(hemisphere)
-        n_in, n_out = CELL_POINTS, CELL_POINTS
-        if self.rank is None:
-            n_in, n_out = POINTS_IN, POINTS_OUT
+        n_in = POINTS_IN if self.rank is None else CELL_POINTS
+        n_out = POINTS_OUT if self.rank is None else CELL_POINTS
         if self.rank == 3:
             theta_i = isotropic_incidence(self.patches.shape[0], n_in)
             phi_i = np.full_like(theta_i, 180.0)
         else:
             flight = self.patches.points(n_in)
             theta_i, phi_i = np.degrees(angles(flight * [-1, -1, 1]))
-        return resampled(
-            self.material,
-            hemisphere,
-            theta_i,
-            phi_i,
-            self.patches,
-            n_out,
-            progress=self.progress,
-        )
+        where = hemisphere, theta_i, phi_i, self.patches, n_out
+        return resampled(self.material, *where, progress=self.progress)
 
     def _grid(self, values: Floats, rank: int) -> Floats:
         """Cells of a tensor tree, ``(size, ..., channels)``.
@@ -278,12 +264,8 @@ class Side:
             theirs = np.mean(theirs, axis=-1, keepdims=True)
         if self.measured:
             return losses(record, np.reshape(theirs, fractions_of(record).shape))
-        ours = [
-            resampled(
-                self.material, h, theta[:, None], phi[:, None], patches, POINTS_OUT
-            )
-            for h in self.hemispheres
-        ]
+        where = theta[:, None], phi[:, None], patches, POINTS_OUT
+        ours = [resampled(self.material, h, *where) for h in self.hemispheres]
         return losses(record, np.array(theirs), np.stack(ours, axis=1))
 
 
@@ -291,10 +273,8 @@ def matrices(values: Floats, direction: str) -> dict[tuple[str, str], Floats]:
     """Blocks of a Klems matrix ``(n, n, channels)`` in one direction."""
     if values.shape[-1] == 1:
         return {("Visible", direction): values[..., 0]}
-    xyz = values @ XYZ.T
-    return {
-        (name, direction): xyz[..., i] for i, name in enumerate(radiance.MATRIX_NAMES)
-    }
+    parts = np.moveaxis(values @ XYZ.T, -1, 0)
+    return {(name, direction): one for name, one in zip(radiance.MATRIX_NAMES, parts)}
 
 
 def trees(values: Floats, direction: str) -> dict[tuple[str, str], TensorTree]:
@@ -360,15 +340,6 @@ def incidence(basis: str, cells: int) -> tuple[Subdivision, Subdivision]:
     theta = (0, *np.degrees(np.arcsin(sines)), 90)
     wedge = (0, 180 - HALF_WEDGE, 180 + HALF_WEDGE, 360)
     return Borders(theta, wedge), patches
-
-
-def _patches_of(record: Record, basis: str) -> Subdivision:
-    """Patches of exit of a file."""
-    if basis in KLEMS:
-        return KLEMS[basis]
-    if isinstance(record.subdivision, ShirleyChiu):
-        return record.subdivision
-    return ShirleyChiu(TREE_SIZES[RANKS[basis]])
 
 
 def _is_measured(record: Record, basis: str, patches: Subdivision) -> bool:

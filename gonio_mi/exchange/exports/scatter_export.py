@@ -15,7 +15,7 @@ from ...results.record import Record, fractions_of, wavelengths_nm
 from ..formats import merl, zemax
 from ..formats.reading import format_named, read_scatter
 from ..formats.scatter import Block, Scatter, scatter_means, total_of
-from .loss import Loss, losses, part_names
+from .loss import Loss, check_channels, losses, part_names
 
 # Polar angles and azimuths about the specular direction, where lobes are narrow.
 RADIAL, AROUND = merl.RADIAL, np.arange(0.0, 361.0, 10.0)
@@ -55,11 +55,7 @@ def write_grids(record: Record, path: str | PathLike[str]) -> list[Loss]:
     ending = Path(path).suffix.lower()
     known = format_named(ending)
     nm = wavelengths_nm(record.channels)
-    if len(record.channels) > 1 and nm is None:
-        raise SettingError(
-            f"{ending} takes records of one channel or of wavelengths, got "
-            f"{abridged(', '.join(record.channels), 80)}"
-        )
+    check_channels(record, f"a {ending} file", coloured=False)
     if known.isotropic:
         _check_isotropic(record, ending)
     if len(record) < known.n_incidences:
@@ -84,11 +80,7 @@ def write_merl(record: Record, path: str | PathLike[str]) -> list[Loss]:
     Between its angles of incidence it is interpolated as the BSDF `goniometric` does.
     """
     _check_isotropic(record, ".binary")
-    if record.channels != ("R", "G", "B") and len(record.channels) > 1:
-        raise SettingError(
-            "a .binary file takes records of one channel or of R, G, B, got "
-            f"{abridged(', '.join(record.channels), 80)}"
-        )
+    check_channels(record, "a .binary file", spectral=False)
     material = Material(record)
     turn = np.radians(record.phi_i[0])
     cosine, sine = np.cos(turn), np.sin(turn)
@@ -159,7 +151,7 @@ def _grid(record: Record) -> tuple[Floats, Floats]:
 
 def _around_nodes(record: Record, frame: Block, means: Floats) -> Floats:
     """Means of patch means around the points of a grid, ``(n, m, channels)``."""
-    low, high = _cells(frame.polar), _cells(frame.azimuth, 360.0)
+    low, high = _cells(frame.polar), _cells(frame.azimuth, periodic=True)
     steps = (np.arange(POINTS) + 0.5) / POINTS
     sums = np.zeros((len(frame.polar), len(frame.azimuth), means.shape[-1]))
     for along, around in np.ndindex(POINTS, POINTS):
@@ -172,14 +164,12 @@ def _around_nodes(record: Record, frame: Block, means: Floats) -> Floats:
     return sums / POINTS**2
 
 
-def _cells(angles: Floats, period: float | None = None) -> tuple[Floats, Floats]:
+def _cells(angles: Floats, periodic: bool = False) -> tuple[Floats, Floats]:
     """Where what an angle stands for begins and ends: half-way to its neighbours."""
     middles = (angles[1:] + angles[:-1]) / 2
-    if period is None:
-        low, high = angles[0], angles[-1]
-    else:
-        low = angles[0] - (angles[1] - angles[0]) / 2
-        high = angles[-1] + (angles[-1] - angles[-2]) / 2
+    low, high = angles[0], angles[-1]
+    if periodic:
+        low, high = low - (angles[1] - low) / 2, high + (high - angles[-2]) / 2
     return np.append(low, middles), np.append(middles, high)
 
 
@@ -190,8 +180,8 @@ def _specimen(record: Record) -> str:
 
 def _check_isotropic(record: Record, what: str) -> None:
     """Raise ValueError for several azimuths of incidence."""
-    if len(set(record.phi_i.tolist())) > 1:
+    n = len(set(record.phi_i.tolist()))
+    if n > 1:
         raise SettingError(
-            f"{what} holds one azimuth of incidence, as of isotropic materials, got "
-            f"{len(set(record.phi_i.tolist()))}"
+            f"{what} holds one azimuth of incidence, as of isotropic materials, got {n}"
         )

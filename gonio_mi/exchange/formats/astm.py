@@ -48,10 +48,8 @@ def read(stream: BinaryIO, _: str | None = None) -> Points:
     while line := lines.next():
         rows.append(lines.numbers(n, line))
     announced = keys.pop("NUM_POINTS", str(len(rows)))
-    require(
-        announced == str(len(rows)),
-        f"it announces {announced:.20} points and holds {len(rows)}",
-    )
+    reason = f"it announces {announced:.20} points and holds {len(rows)}"
+    require(announced == str(len(rows)), reason)
     require(bool(rows), "it has no rows of values")
     table = np.array(rows)
     in_degrees = np.abs(table[:, : len(ANGLES)]).max() > 2 * np.pi

@@ -88,10 +88,8 @@ class Lines:
     def numbers(self, n: int, text: str | None = None) -> Floats:
         """Numbers of the next line, or of a `text` of this one: `n` of them."""
         cells = (self.row() if text is None else text).replace(",", " ").split()
-        require(
-            len(cells) == n,
-            f"line {self.number} must have {n} numbers, got {len(cells)}",
-        )
+        reason = f"line {self.number} must have {n} numbers, got {len(cells)}"
+        require(len(cells) == n, reason)
         try:
             return np.array([decimal(cell) for cell in cells], dtype=float)
         except ValueError as error:
@@ -100,10 +98,8 @@ class Lines:
     def whole(self, n: int, text: str | None = None) -> list[int]:
         """The same, whole numbers."""
         values = self.numbers(n, text)
-        require(
-            bool((values == np.round(values)).all() and (np.abs(values) < 1e15).all()),
-            f"line {self.number} must have whole numbers",
-        )
+        good = (values == np.round(values)) & (np.abs(values) < 1e15)
+        require(good.all(), f"line {self.number} must have whole numbers")
         return [int(value) for value in values]
 
     def listed(self) -> Floats:

@@ -88,9 +88,8 @@ def read(stream: BinaryIO, quantity: str | None = None) -> Points:
     if not lit.all():
         left = np.count_nonzero(~lit)
         notes.append(f"{number_of(left, 'row')} at or below the horizon left out")
-    return Points(
-        of_all[lit], np.concatenate(values)[lit, None], ("Y",), {}, tuple(notes)
-    )
+    of_lit = np.concatenate(values)[lit, None]
+    return Points(of_all[lit], of_lit, ("Y",), {}, tuple(notes))
 
 
 def _blocks(lines: Lines) -> list[tuple[Floats, list[Floats]]]:

@@ -26,10 +26,15 @@ SCHEMA = (
     "https://raw.githubusercontent.com/asam-ev/OpenMATERIAL-3D/refs/tags/v1.0.0/schemas/"
     "material_brdf_schema.json"
 )
-REQUIRED = (
-    *("name", "uuid", "materialVersion", "openMaterial3dVersion", "copyrights"),
-    *("license", "authors", "sources"),
-)
+# What our files say beside a name and a UUID; the schema requires all of it.
+METADATA = {
+    "materialVersion": "1.0.0",
+    "openMaterial3dVersion": "1.0.0",
+    "copyrights": ["not stated"],
+    "license": "not stated",
+    "authors": ["gonio-mi"],
+    "sources": "simulated",
+}
 PATTERNS = {
     "uuid": r"[0-9a-fA-F]{8}(-[0-9a-fA-F]{4}){3}-[0-9a-fA-F]{12}",
     "materialVersion": r"\d+\.\d+\.\d+",
@@ -67,16 +72,19 @@ def _rows(stream: BinaryIO) -> tuple[Floats, dict[str, str]]:
     metadata, brdf = content.get("metadata"), content.get("brdf")
     require(isinstance(metadata, Mapping), "it has no metadata")
     require(isinstance(brdf, Mapping), "it has no brdf")
-    for key in REQUIRED:
+    for key in ("name", "uuid", *METADATA):
         require(key in metadata, f"its metadata lack {key}")
     for key, pattern in PATTERNS.items():
         text = metadata[key]
-        require(
-            isinstance(text, str) and re.fullmatch(pattern, text),
-            f"its {key} does not match the format, got {text!r:.60}",
-        )
+        reason = f"its {key} does not match the format, got {text!r:.60}"
+        require(isinstance(text, str) and re.fullmatch(pattern, text), reason)
     table = _table(brdf.get("lookupTable"))
-    _check_wavelengths(brdf.get("wavelengths"), table)
+    listed: Any = brdf.get("wavelengths")
+    good = isinstance(listed, list) and all(type(nm) in (int, float) for nm in listed)
+    require(good, "it has no list of wavelengths")
+    stated, held = np.unique(np.array(listed, dtype=float)), np.unique(table[:, 0])
+    good = stated.shape == held.shape and np.allclose(stated, held, rtol=1e-6, atol=0)
+    require(good, "its wavelengths are not those of its lookupTable")
     known = {k: " ".join(v.split()) for k, v in metadata.items() if isinstance(v, str)}
     table[:, 0] *= 1e9
     # six digits of pi are all that the schema allows
@@ -105,20 +113,6 @@ def _table(listed: Any) -> Floats:
             f"{table[row, column]:g}"
         )
     return table
-
-
-def _check_wavelengths(listed: Any, table: Floats) -> None:
-    """Raise FileFormatError unless they are those of the table."""
-    require(
-        isinstance(listed, list) and all(type(nm) in (int, float) for nm in listed),
-        "it has no list of wavelengths",
-    )
-    known = np.unique(np.array(listed, dtype=float))
-    held = np.unique(table[:, 0])
-    require(
-        known.shape == held.shape and np.allclose(known, held, rtol=1e-6, atol=0),
-        "its wavelengths are not those of its lookupTable",
-    )
 
 
 def points(stream: BinaryIO, _: str | None) -> Points:
@@ -162,11 +156,8 @@ def read(stream: BinaryIO) -> Scatter:
         azimuth = azimuth[azimuth < 360 - ANGLE_TOLERANCE]
         here = here[here[:, 3] < 360 - ANGLE_TOLERANCE]
         grid = np.full((len(polar), len(azimuth), len(wavelengths)), np.nan)
-        place = (
-            np.searchsorted(polar, here[:, 2]),
-            np.searchsorted(azimuth, here[:, 3]),
-            np.searchsorted(wavelengths, here[:, 0]),
-        )
+        axes = ((polar, 2), (azimuth, 3), (wavelengths, 0))
+        place = tuple(np.searchsorted(axis, here[:, i]) for axis, i in axes)
         grid[place] = here[:, 4]
         pole = polar < ANGLE_TOLERANCE  # with a value for one azimuth or for all
         known_pole = ~np.isnan(grid[pole])
@@ -213,22 +204,11 @@ def write(scatter: Scatter, stream: BinaryIO, name: str) -> None:
                      _radians(azimuth[k]), float(f"{row[k]:.7g}")]
                     for k in (order[:1] if polar == 0 else order)
                 ]  # fmt: skip
-    metadata = {
-        "name": abridged(name, 80),
-        "uuid": str(uuid.uuid5(uuid.NAMESPACE_URL, json.dumps(table))),
-        "materialVersion": "1.0.0",
-        "openMaterial3dVersion": "1.0.0",
-        "copyrights": ["not stated"],
-        "license": "not stated",
-        "authors": ["gonio-mi"],
-        "sources": "simulated",
-    }
+    unique = str(uuid.uuid5(uuid.NAMESPACE_URL, json.dumps(table)))
+    metadata = {"name": abridged(name, 80), "uuid": unique} | METADATA
     wavelengths = sorted({row[0] for row in table})
-    content = {
-        "$schema": SCHEMA,
-        "metadata": metadata,
-        "brdf": {"wavelengths": wavelengths, "lookupTable": table},
-    }
+    brdf = {"wavelengths": wavelengths, "lookupTable": table}
+    content = {"$schema": SCHEMA, "metadata": metadata, "brdf": brdf}
     stream.write(json.dumps(content, allow_nan=False).encode())
 
 

@@ -98,10 +98,8 @@ class Product:
 
     def text(self) -> str:
         """Elements of the file."""
-        lines = [
-            f"<Name>{escape(self.name)}</Name>",
-            f"<Manufacturer>{escape(self.manufacturer)}</Manufacturer>",
-        ]
+        lines = [f"<Name>{escape(self.name)}</Name>"]
+        lines += [f"<Manufacturer>{escape(self.manufacturer)}</Manufacturer>"]
         for key in ("Thickness", "Width", "Height"):
             value = getattr(self, key.lower())
             value = 0.0 if value is None and key == "Thickness" else value
@@ -196,10 +194,8 @@ def _block(wavelength: str, direction: str, block: Floats | TensorTree) -> str:
         text = block.text()
     else:
         name = basis_of(block)
-        basis = (
-            f"<ColumnAngleBasis>{name}</ColumnAngleBasis>\n"
-            f"<RowAngleBasis>{name}</RowAngleBasis>"
-        )
+        basis = f"<ColumnAngleBasis>{name}</ColumnAngleBasis>\n"
+        basis += f"<RowAngleBasis>{name}</RowAngleBasis>"
         # as WINDOW has them; pyWinCalc reads no other
         text = ",\n".join(", ".join(f"{v:.7g}" for v in row) for row in block) + "\n"
     kind = "BRDF" if "Reflection" in direction else "BTDF"
@@ -238,29 +234,22 @@ def read(stream: BinaryIO) -> dict[tuple[str, str], Floats | TensorTree]:
     root = _root(stream)
     structure = root.findtext(".//IncidentDataStructure", "").strip()
     known = ("Columns", "Rows", *STRUCTURES)
-    require(
-        structure in known,
-        f"its IncidentDataStructure must be {', '.join(known)}, got {structure!r:.40}",
-    )
+    must = f"must be {', '.join(known)}, got {structure!r:.40}"
+    require(structure in known, f"its IncidentDataStructure {must}")
     blocks = {}
     for data in root.iter("WavelengthData"):
         wavelength = data.findtext("Wavelength", "").strip()
-        if wavelength in DETECTORS:
-            for block in data.iter("WavelengthDataBlock"):
-                direction = block.findtext("WavelengthDataDirection", "").strip()
-                require(
-                    direction in DIRECTIONS.values(),
-                    f"its WavelengthDataDirection {direction!r:.40} is unknown",
-                )
-                require(
-                    (wavelength, direction) not in blocks,
-                    f"it holds {wavelength} {direction} twice",
-                )
-                blocks[wavelength, direction] = _data(block, direction, structure)
-    require(
-        any(wavelength == "Visible" for wavelength, _ in blocks),
-        "it holds no visible BSDF",
-    )
+        for block in (
+            data.iter("WavelengthDataBlock") if wavelength in DETECTORS else ()
+        ):
+            direction = block.findtext("WavelengthDataDirection", "").strip()
+            unknown = f"its WavelengthDataDirection {direction!r:.40} is unknown"
+            require(direction in DIRECTIONS.values(), unknown)
+            key = wavelength, direction
+            require(key not in blocks, f"it holds {wavelength} {direction} twice")
+            blocks[key] = _data(block, direction, structure)
+    visible = any(wavelength == "Visible" for wavelength, _ in blocks)
+    require(visible, "it holds no visible BSDF")
     return blocks
 
 
@@ -300,10 +289,8 @@ def _data(
     text = block.findtext("ScatteringData", "")
     if structure in STRUCTURES:
         name = block.findtext("AngleBasis", "").strip()
-        require(
-            name == SHIRLEY_CHIU,
-            f"its AngleBasis must be {SHIRLEY_CHIU}, got {name!r:.40}",
-        )
+        reason = f"its AngleBasis must be {SHIRLEY_CHIU}, got {name!r:.40}"
+        require(name == SHIRLEY_CHIU, reason)
         return TensorTree.parsed(text, STRUCTURES[structure])
     known = ", ".join(KLEMS_BASES)
     tags = "ColumnAngleBasis", "RowAngleBasis"
@@ -322,10 +309,8 @@ def _data(
         values = np.array([decimal(word) for word in words]).reshape(n, n)
     except ValueError as error:
         raise FileFormatError(f"{direction}: {error}") from None
-    require(
-        bool(np.isfinite(values).all()) and values.min() >= 0,
-        f"{direction} holds a value that is negative or not finite",
-    )
+    reason = f"{direction} holds a value that is negative or not finite"
+    require(bool(np.isfinite(values).all()) and values.min() >= 0, reason)
     return values.T if structure == "Rows" else values
 
 
@@ -377,10 +362,8 @@ class RadianceBSDF:
             self.channels, self._names = ("Y",), ("Visible",)
         for wavelength, direction in self.blocks:
             missing = [n for n in self._names if (n, direction) not in self.blocks]
-            require(
-                wavelength == "Solar" or not missing,
-                f"its {direction} lacks {', '.join(missing)}",
-            )
+            reason = f"its {direction} lacks {', '.join(missing)}"
+            require(wavelength == "Solar" or not missing, reason)
 
     def holds(self, side: str, hemisphere: int) -> bool:
         """Whether there is reflection (0) or transmission (1) of a lit face."""

@@ -61,12 +61,10 @@ def _matrix_means(bsdf: RadianceBSDF, side: str, held: Sequence[int]) -> PatchMe
     theta_i, phi_i = (angle.ravel() for angle in grid)
     shape = len(theta_i), max(held) + 1, *patches.shape, len(bsdf.channels)
     means = np.zeros(shape)
-    for hemisphere, (index, theta) in itertools.product(held, enumerate(theta_i)):
-        values = [
-            bsdf.values(side, hemisphere, theta, phi_i[index] + turn, wo)
-            for turn in turns
-        ]
-        means[index, hemisphere] = np.mean(values, axis=0).reshape(shape[2:])
+    for h, (index, theta) in itertools.product(held, enumerate(theta_i)):
+        azimuths = phi_i[index] + np.array(turns)
+        values = [bsdf.values(side, h, theta, phi, wo) for phi in azimuths]
+        means[index, h] = np.mean(values, axis=0).reshape(shape[2:])
     return PatchMeans.of(means, patches, (theta_i, phi_i), bsdf.channels)
 
 

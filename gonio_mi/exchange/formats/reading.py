@@ -7,7 +7,7 @@ import pkgutil
 from collections.abc import Iterator, Mapping
 from os import PathLike
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -30,10 +30,10 @@ HEAD_BYTES = 100_000
 def _all() -> tuple[Format, ...]:
     """Formats that the modules beside this one list."""
     package = __package__ or ""
-    names = [
-        module.name for module in pkgutil.iter_modules([str(Path(__file__).parent)])
-    ]
-    modules = [importlib.import_module(f"{package}.{name}") for name in sorted(names)]
+    names = sorted(
+        one.name for one in pkgutil.iter_modules([str(Path(__file__).parent)])
+    )
+    modules = [importlib.import_module(f"{package}.{name}") for name in names]
     return tuple(one for module in modules for one in getattr(module, "FORMATS", ()))
 
 
@@ -46,11 +46,8 @@ def endings_of(can: str) -> tuple[str, ...]:
 
 def lost_in_each() -> str:
     """Line for each format with what its files cannot hold."""
-    return "\n".join(
-        f"  {' '.join(one.endings):18} {one.program}: {one.loses}"
-        for one in _all()
-        if one.loses
-    )
+    rows = ((" ".join(one.endings), one) for one in _all() if one.loses)
+    return "\n".join(f"  {name:18} {one.program}: {one.loses}" for name, one in rows)
 
 
 def format_named(ending: str) -> Format:
@@ -85,10 +82,8 @@ def _named(place: object) -> Iterator[None]:
     """Context in which errors carry the name of the file."""
     try:
         yield
-    except FileFormatError as error:
-        raise FileFormatError(f"{place}: {error}") from None
     except SettingError as error:
-        raise SettingError(f"{place}: {error}") from None
+        raise type(error)(f"{place}: {error}") from None
 
 
 def read_scatter(path: str | PathLike[str]) -> Scatter:
@@ -101,14 +96,11 @@ def read_scatter(path: str | PathLike[str]) -> Scatter:
     FileFormatError
         If it is damaged or something else: one sentence.
     """
-    known = format_of(path)
     with open(path, "rb") as stream, _named(f"cannot load {path}"):
-        return _scatter(known, stream, path)
+        return _scatter(format_of(path), stream, path)
 
 
-def _scatter(
-    known: Format | None, stream: BinaryIO, path: str | PathLike[str]
-) -> Scatter:
+def _scatter(known: Format | None, stream: BinaryIO, path: object) -> Scatter:
     """Grids of a file, or a sentence."""
     if known is not None and known.refused:
         raise FileFormatError(known.refused.format(path=path))
@@ -239,10 +231,8 @@ def read_measured(
         )
     known = format_of(path)
     if known is None:
-        specified = Specified(
-            channel, quantity, columns or {}, azimuth, panel_reflectance
-        )
-        return repeats_noted(read_text(path, specified))
+        said = channel, quantity, columns or {}, azimuth, panel_reflectance
+        return repeats_noted(read_text(path, Specified(*said)))
     if known.refused:
         raise FileFormatError(f"{path}: {known.refused.format(path=path)}")
     if (columns, azimuth, panel_reflectance) != (None, None, None):
@@ -265,20 +255,11 @@ def _table(
     values = points.values[:, points.channels.index(channel)]
     known_values = ~(np.isnan(values) & points.partial)
     several = len(points.channels) > 1 or channel.endswith("nm")
-    theta_i, phi_i, theta_o, phi_o = points.angles[known_values].T
+    settings: Any = {"channel": channel if several else None, "quantity": quantity}
+    settings |= {"header": points.header, "notes": points.notes, "name": str(path)}
+    columns = *points.angles[known_values].T, values[known_values]
     try:
-        return MeasuredTable(
-            theta_i,
-            phi_i,
-            theta_o,
-            phi_o,
-            values[known_values],
-            quantity=quantity,
-            channel=channel if several else None,
-            header=points.header,
-            name=str(path),
-            notes=points.notes,
-        )
+        return MeasuredTable(*columns, **settings)
     except ValueError as error:
         raise FileFormatError(f"{path}: {error}") from None
 

@@ -66,21 +66,16 @@ class Block:
     def __post_init__(self) -> None:
         for name, low, high in (("polar", 0, 180), ("azimuth", -360, 720)):
             angles = getattr(self, name)
+            good = len(angles) > 0 and bool((angles[1:] > angles[:-1]).all())
             require(
-                len(angles) > 0
-                and bool(np.isfinite(angles).all())
-                and bool((np.diff(angles) > 0).all())
-                and low <= angles[0]
-                and angles[-1] <= high,
+                good and low <= angles[0] and angles[-1] <= high,  # and so finite
                 f"its {name} angles must ascend within [{low}, {high}] degrees",
             )
         require(
             np.ptp(self.azimuth) <= 360 * (1 + 1e-9), "its azimuths exceed a full turn"
         )
-        require(
-            self.values.shape[:2] == (len(self.polar), len(self.azimuth)),
-            "a block of its values has another shape than its angles",
-        )
+        reason = "a block of its values has another shape than its angles"
+        require(self.values.shape[:2] == (len(self.polar), len(self.azimuth)), reason)
         require(bool(np.isfinite(self.values).all()), "a value is not finite")
         require(float(np.abs(self.values).max()) < 1e30, "a value is absurdly large")
         require(0 <= self.theta_i <= 90, f"its angle of incidence is {self.theta_i:g}")
@@ -127,7 +122,11 @@ class Block:
         azimuth = np.degrees(np.arctan2(local[..., 1], local[..., 0]))
         if self.mirrored:
             azimuth = np.abs(azimuth)
-        angles, values = self._closed()
+        angles, values = self.azimuth, self.values
+        if not self.mirrored and np.ptp(angles) < 360 * (1 - 1e-9):
+            # the first is repeated after a full turn
+            angles = np.append(angles, angles[0] + 360)
+            values = np.concatenate([values, values[:, :1]], axis=1)
         azimuth = angles[0] + np.mod(azimuth - angles[0], 360)
         row, up = _between(self.polar, polar)
         column, along = _between(angles, azimuth)
@@ -138,13 +137,6 @@ class Block:
         high = values[next_row, column] * (1 - along)
         high = high + values[next_row, next_column] * along
         return low * (1 - up) + high * up
-
-    def _closed(self) -> tuple[Floats, Floats]:
-        """Azimuths and values, the first repeated after a full turn."""
-        if self.mirrored or np.ptp(self.azimuth) >= 360 * (1 - 1e-9):
-            return self.azimuth, self.values
-        turn = np.append(self.azimuth, self.azimuth[0] + 360)
-        return turn, np.concatenate([self.values, self.values[:, :1]], axis=1)
 
     def directions(
         self, polar: Floats | None = None, azimuth: Floats | None = None
@@ -202,10 +194,8 @@ class Scatter:
 
     def __post_init__(self) -> None:
         require(len(self.blocks) > 0, "it has no values")
-        require(
-            all(block.theta_i < 90 for block in self.blocks),
-            "it has an incidence of 90 degrees, where no light comes",
-        )
+        reason = "it has an incidence of 90 degrees, where no light comes"
+        require(all(block.theta_i < 90 for block in self.blocks), reason)
         keys = [(b.hemisphere, b.phi_i, b.theta_i) for b in self.blocks]
         require(len(set(keys)) == len(keys), "it has an incident direction twice")
         # an azimuth of 360 is that of 0 again
@@ -238,22 +228,17 @@ class Scatter:
             incident = np.full((2, len(theta)), [[block.theta_i], [block.phi_i]])
             angles.append(np.stack([*incident, theta, phi]))
             values.append(of_block)
-        return Points(
-            np.concatenate(angles, axis=1).T,
-            np.concatenate(values),
-            self.channels,
-            self.header,
-            (*self.notes, *self._totals(hemisphere)),
-        )
+        of_all = np.concatenate(angles, axis=1).T, np.concatenate(values)
+        notes = *self.notes, *self._totals(hemisphere)
+        return Points(*of_all, self.channels, self.header, notes)
 
     def _totals(self, hemisphere: int) -> list[str]:
         """Sentence on the totals that the file states beside those of its values."""
-        ratios = [
-            ratio
-            for block in self.of(hemisphere)
-            if block.total is not None
-            for ratio in total_of(block)[block.total > 0] / block.total[block.total > 0]
-        ]
+        ratios: list[float] = []
+        for block in self.of(hemisphere):
+            if block.total is not None:
+                lit = block.total > 0
+                ratios += (total_of(block)[lit] / block.total[lit]).tolist()
         if not ratios:
             return []
         low, high = min(ratios), max(ratios)
@@ -311,10 +296,8 @@ def scatter_means(scatter: Scatter, patches: Subdivision | None = None) -> Patch
     held = [h for h in (0, 1) if scatter.of(h)]
     by_angles = {(b.hemisphere, b.theta_i, b.phi_i): b for b in scatter.blocks}
     incident = sorted({key[1:] for key in by_angles}, key=lambda pair: pair[::-1])
-    require(
-        len(by_angles) == len(held) * len(incident),
-        "it tells reflection and transmission for different incident directions",
-    )
+    reason = "it tells reflection and transmission for different incident directions"
+    require(len(by_angles) == len(held) * len(incident), reason)
     shape = len(incident), max(held) + 1, *patches.shape, len(scatter.channels)
     means, points = np.zeros(shape), patches.points(POINTS)
     for (hemisphere, *pair), block in by_angles.items():

@@ -16,9 +16,9 @@ incidence are minus that angle, and +x of the specimen is opposite to the vector
 """
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -37,9 +37,6 @@ VISIBLE = (360.0, 830.0)
 # The first version whose rows are these.
 FIRST_VERSION = 8.0
 
-# What reads the next table at an incident direction in a hemisphere.
-NextBlock = Callable[[Lines, float, float, int], Block]
-
 BINARY = "it is binary: save it as text with Speos's BSDF viewer"
 
 
@@ -54,10 +51,8 @@ def _opened(stream: BinaryIO) -> tuple[Lines, str, str]:
         known = decimal(version) >= FIRST_VERSION
     except ValueError:
         known = False
-    require(
-        known,
-        f"it has the version {version:.10}: save it anew with Speos's BSDF viewer",
-    )
+    reason = f"it has the version {version:.10}: save it anew with Speos's BSDF viewer"
+    require(known, reason)
     require(rows.row().strip()[:1] == "0", BINARY)
     comment = rows.row().strip()
     rows.skip(rows.whole(1)[0])
@@ -82,7 +77,7 @@ def read(stream: BinaryIO) -> Scatter:
 
 def _read_spectral(rows: Lines, header: dict[str, str]) -> Scatter:
     """Blocks of a ``.brdf``: hemisphere, incidence, wavelength."""
-    held, next_block = rows.whole(2), _kind(rows)
+    held, (kind,) = rows.whole(2), rows.whole(1)
     n_incidences, n_wavelengths = rows.whole(2)
     check_size(n_incidences, n_wavelengths)
     incidences, wavelengths = rows.numbers(n_incidences), rows.numbers(n_wavelengths)
@@ -92,19 +87,19 @@ def _read_spectral(rows: Lines, header: dict[str, str]) -> Scatter:
             parts = []
             for _ in range(n_wavelengths):
                 (percent,) = rows.numbers(1)
-                part = next_block(rows, theta_i, 0.0, hemisphere)
+                part = _block(rows, kind, (theta_i, 0.0), hemisphere)
                 total = total_of(part)[0]
                 scale = percent / 100 / total if total > 0 else 0.0
                 stated = np.array([percent / 100])
                 parts.append(replace(part, values=part.values * scale, total=stated))
             blocks.append(_joined(parts))
-    return _scatter(wavelengths, blocks, header, next_block)
+    return _scatter(wavelengths, blocks, header, kind)
 
 
 def _read_anisotropic(rows: Lines, header: dict[str, str]) -> Scatter:
     """Blocks of an ``.anisotropicbsdf``: hemisphere, anisotropy, incidence."""
     vector = rows.numbers(3)
-    held, next_block = rows.whole(2), _kind(rows)
+    held, (kind,) = rows.whole(2), rows.whole(1)
     hemispheres = [h for h in (0, 1) if held[h]]
     directions = {}
     for hemisphere in hemispheres:
@@ -125,10 +120,8 @@ def _read_anisotropic(rows: Lines, header: dict[str, str]) -> Scatter:
         reference, own, parts_of_one = spectra[hemisphere]
         # of transmission the spectrum may have other wavelengths
         percentages = np.interp(nm, own, parts_of_one)
-        unscaled = [
-            next_block(rows, float(theta), float(-angle % 360), hemisphere)
-            for angle, theta in directions[hemisphere]
-        ]
+        incidences = [(float(t), float(-a % 360)) for a, t in directions[hemisphere]]
+        unscaled = [_block(rows, kind, one, hemisphere) for one in incidences]
         # nothing meets a surface at 90 degrees
         unscaled = [block for block in unscaled if block.theta_i < 90]
         require(bool(unscaled), "it has no incidence below 90 degrees")
@@ -139,7 +132,7 @@ def _read_anisotropic(rows: Lines, header: dict[str, str]) -> Scatter:
             replace(once[key], values=once[key].values * scale) for key in sorted(once)
         ]
     header = header | {"anisotropy vector": " ".join(map(str, vector))}
-    return _scatter(nm, blocks, header, next_block)
+    return _scatter(nm, blocks, header, kind)
 
 
 def _scale(blocks: Sequence[Block], reference: Floats) -> float:
@@ -156,13 +149,10 @@ def _scale(blocks: Sequence[Block], reference: Floats) -> float:
     return float(np.interp(reference[0], angles, 1 / totals))
 
 
-def _kind(rows: Lines) -> NextBlock:
-    """What reads the tables of a file, by its next row: 0 are intensities."""
-    return _intensities if rows.whole(1)[0] == 0 else _values
-
-
-def _values(rows: Lines, theta_i: float, phi_i: float, hemisphere: int) -> Block:
-    """Next table, not scaled, whose values are a BSDF's."""
+def _block(
+    rows: Lines, kind: int, incident: tuple[float, float], hemisphere: int
+) -> Block:
+    """Next table, not scaled; of kind 0, intensities, divided by the cosine."""
     n_polar, n_azimuth = rows.whole(2)
     check_size(n_polar, n_azimuth)
     azimuth = rows.numbers(n_azimuth)
@@ -175,59 +165,43 @@ def _values(rows: Lines, theta_i: float, phi_i: float, hemisphere: int) -> Block
         f"line {rows.number}: polar angles must be within one hemisphere",
     )
     polar = np.clip(polar, 0, 90)
-    return Block(theta_i, phi_i, hemisphere, polar, azimuth, values[..., None])
-
-
-def _intensities(rows: Lines, theta_i: float, phi_i: float, hemisphere: int) -> Block:
-    """Next table, not scaled, whose values are a BSDF's times the cosine."""
-    block = _values(rows, theta_i, phi_i, hemisphere)
-    cosine = np.cos(np.radians(block.polar))
-    level = cosine < 1e-9
-    values = block.values / np.where(level, 1.0, cosine)[:, None, None]
-    if level.any() and len(cosine) > 1:  # on the horizon it is not known
-        values[level] = values[-2]
-    return replace(block, values=values)
+    if kind == 0:
+        cosine = np.cos(np.radians(polar))
+        level = cosine < 1e-9
+        values = values / np.where(level, 1.0, cosine)[:, None]
+        if level.any() and len(cosine) > 1:  # on the horizon it is not known
+            values[level] = values[-2]
+    return Block(*incident, hemisphere, polar, azimuth, values[..., None])
 
 
 def _joined(parts: Sequence[Block]) -> Block:
     """One block of several channels, on the grid of the first."""
     first = parts[0]
     wo = first.directions()
-    values = [
-        part.values
-        if np.array_equal(part.polar, first.polar)
-        and np.array_equal(part.azimuth, first.azimuth)
-        else part.at(wo)
-        for part in parts
-    ]
-    totals = [part.total for part in parts if part.total is not None]
+    values = []
+    for part in parts:
+        alike = np.array_equal(part.polar, first.polar)
+        alike = alike and np.array_equal(part.azimuth, first.azimuth)
+        values.append(part.values if alike else part.at(wo))
+    totals: list[Any] = [part.total for part in parts]
     return replace(
-        first,
-        values=np.concatenate(values, axis=-1),
-        total=np.concatenate(totals) if totals else None,
+        first, values=np.concatenate(values, axis=-1), total=np.concatenate(totals)
     )
 
 
 def _scatter(
-    wavelengths: Floats, blocks: list[Block], header: dict[str, str], kind: NextBlock
+    wavelengths: Floats, blocks: list[Block], header: dict[str, str], kind: int
 ) -> Scatter:
     """Blocks of a file; of one channel Y, if all wavelengths have the same values."""
     require(len(wavelengths) > 0, "it has neither reflection nor transmission")
-    require(
-        bool((wavelengths > 0).all()) and bool((np.diff(wavelengths) > 0).all()),
-        "its wavelengths must ascend",
-    )
+    ascend = bool((np.diff(wavelengths, prepend=0) > 0).all())
+    require(ascend, "its wavelengths must ascend")
     channels = tuple(f"{nm:.10g}nm" for nm in wavelengths)
     if all(np.ptp(block.values, axis=-1).max(initial=0) == 0 for block in blocks):
         channels, blocks = ("Y",), [block.channel(0) for block in blocks]
-    note = f"the values are {KINDS[kind]}, scaled to the stated percentages"
+    values = "intensities, divided by the cosine" if kind == 0 else "a BSDF"
+    note = f"the values are {values}, scaled to the stated percentages"
     return Scatter(blocks, channels, header, (note,))
-
-
-KINDS: dict[NextBlock, str] = {
-    _values: "a BSDF",
-    _intensities: "intensities, divided by the cosine",
-}
 
 
 # ----------------------------------------------------------------------------- writing

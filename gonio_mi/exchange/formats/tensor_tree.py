@@ -10,7 +10,7 @@ rank 4: the direction of flight, and the exit direction, in that square.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -80,14 +80,10 @@ class TensorTree:
                 stack.append(_grid(words, rank) if words else [])
                 continue
             node = stack.pop()
-            require(
-                not words and bool(stack) and isinstance(stack[-1], list),
-                "its tensor tree has values or braces out of place",
-            )
-            require(
-                not isinstance(node, list) or len(node) == 2**rank,
-                f"a branch of its tensor tree must have {2**rank} children",
-            )
+            reason = "its tensor tree has values or braces out of place"
+            require(not words and bool(stack) and isinstance(stack[-1], list), reason)
+            reason = f"a branch of its tensor tree must have {2**rank} children"
+            require(not isinstance(node, list) or len(node) == 2**rank, reason)
             stack[-1].append(node)
         require(len(stack) == 1 and len(stack[0]) == 1, "its tensor tree is not closed")
         return cls(rank, stack[0][0])
@@ -155,18 +151,14 @@ def _merged(values: Floats, flat: float) -> Node:
     size = len(values)
     if size == 2:
         return values
-    children = [_merged(part, flat) for part in _orthants(values)]
-    if all(isinstance(c, np.ndarray) and len(c) == size // 2 for c in children):
+    half, children = size // 2, []
+    halves = slice(None, half), slice(half, None)
+    for number in range(2**values.ndim):  # orthants, the first axis fastest
+        part = tuple(halves[number >> k & 1] for k in range(values.ndim))
+        children.append(_merged(values[part], flat))
+    if all(isinstance(c, np.ndarray) and len(c) == half for c in children):
         return values
     return children
-
-
-def _orthants(values: Floats) -> Iterator[Floats]:
-    """Halves of all axes, the first axis fastest."""
-    half = len(values) // 2
-    halves = slice(None, half), slice(half, None)
-    for number in range(2**values.ndim):
-        yield values[tuple(halves[number >> k & 1] for k in range(values.ndim))]
 
 
 def _size(node: Node) -> int:
@@ -182,10 +174,8 @@ def _text(node: Node) -> str:
 def _grid(words: Sequence[str], rank: int) -> Floats:
     """Grid of the values of a leaf."""
     size = round(len(words) ** (1 / rank))
-    require(
-        size**rank == len(words) and size & (size - 1) == 0,
-        f"a grid of its tensor tree must have 2^{rank}k values, got {len(words)}",
-    )
+    reason = f"a grid of its tensor tree must have 2^{rank}k values, got {len(words)}"
+    require(size**rank == len(words) and size & (size - 1) == 0, reason)
     try:
         values = np.array([decimal(word) for word in words])
     except ValueError as error:

@@ -86,9 +86,7 @@ def read(stream: BinaryIO) -> Scatter:
         for rotation, incidence in np.ndindex(n[0], n[1])
     ]
     channels = ("Y",) if spectrum == "Monochrome" else ("X", "Y", "Z")
-    comment = abridged(
-        "; ".join(comment for comment in lines.comments if comment), 2000
-    )
+    comment = abridged("; ".join(filter(None, lines.comments)), 2000)
     notes = ("angles of exit count from the specular direction",)
     return Scatter(blocks, channels, {"comment": comment} if comment else {}, notes)
 
@@ -126,10 +124,8 @@ def write(scatter: Scatter, stream: BinaryIO, comment: str) -> None:
             block = by_angles[rotation, incidence]
             total = total_of(block) if block.total is None else block.total
             lines.append(f"TIS  {total[0]:.6f}")
-            lines += [
-                "\t".join(f"{value:.5e}" for value in row)
-                for row in block.values[..., 0].T
-            ]
+            rows = block.values[..., 0].T
+            lines += ["\t".join(f"{value:.5e}" for value in row) for row in rows]
     lines.append("DataEnd")
     stream.write(("\n".join(lines) + "\n").encode("ascii", "replace"))
 

@@ -37,9 +37,7 @@ def unit_questions(
     unclear = []
     for kind, (roles, most) in MAX_RADIANS.items():
         bare = [role for role in roles if role in picked and not picked[role].unit]
-        angles = np.abs(
-            np.concatenate([arrays[role] for role in bare] or [np.zeros(1)])
-        )
+        angles = np.abs(np.concatenate([[0.0], *(arrays[role] for role in bare)]))
         whole = (np.abs(angles - np.round(angles)) < ANGLE_ROUNDING).all()
         if not whole and angles.max() <= most:
             unclear.append((kind, bare[0], angles.max()))
@@ -58,11 +56,8 @@ def in_degrees(
     arrays: Mapping[str, Floats], picked: Mapping[str, Column]
 ) -> dict[str, Floats]:
     """Angles of the columns in degrees, by role; see :func:`unit_questions`."""
-    return {
-        role: arrays[role] * DEGREES[picked[role].unit]
-        for role in ANGLES
-        if role in picked
-    }
+    angles = [role for role in ANGLES if role in picked]
+    return {role: arrays[role] * DEGREES[picked[role].unit] for role in angles}
 
 
 def directions(
@@ -97,10 +92,8 @@ def directions(
         if relative is None:
             relative = arrays.get("phi_o", zero) - phi_i
         phi_o = phi_i + relative + (180 if azimuth == "mirror" else 0)
-        notes.append(
-            f"azimuths count from {azimuth or 'nothing that matters'}"
-            + (", signed polar angles are on both sides" if signed else "")
-        )
+        both = ", signed polar angles are on both sides" if signed else ""
+        notes.append(f"azimuths count from {azimuth or 'nothing that matters'}{both}")
     if signed:
         # without azimuths the side of the source may have the minus sign
         if absolute or (theta_i > 0).any():

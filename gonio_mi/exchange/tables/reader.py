@@ -60,7 +60,7 @@ MIN_NM = 20
 HORIZON = 1e-3
 
 # Names of columns that hold a coverage factor.
-FACTOR_NAMES = ("k", "k factor", "coverage factor")
+FACTOR_NAMES = {"k", "k factor", "coverage factor"}
 
 # What titles and names of files call the quantities.
 QUANTITY_PATTERNS = (
@@ -169,14 +169,9 @@ class _Reading:
         self._check_ranges(columns, quantity)
         if self.channel is not None:
             self.settings.setdefault("channel", self.channel)
+        told = {"header": self.header, "name": self.place, "notes": tuple(self.notes)}
         try:
-            return MeasuredTable(
-                **columns,
-                **self.settings,
-                header=self.header,
-                name=self.place,
-                notes=tuple(self.notes),
-            )
+            return MeasuredTable(**columns, **self.settings, **told)
         except ValueError as error:
             raise FileFormatError(f"{self.place}: {error}") from None
 
@@ -222,17 +217,17 @@ class _Reading:
     def _pick_columns(self) -> None:
         """Find the one column of each role, `picked`, or ask."""
         by_role: dict[str, list[Column]] = {}
-        for column in self.known:
-            if column is not None and column.role not in self.constants:
+        for column in filter(None, self.known):
+            if column.role not in self.constants:
                 by_role.setdefault(column.role, []).append(column)
         self._pick_channel(by_role)
         self._check_clear(by_role)
         self.picked = {role: columns[0] for role, columns in by_role.items() if columns}
-        for role in (role for role in ANGLES if role in self.picked):
-            if self.picked[role].unit not in DEGREES:
-                name = shown(self.picked[role].name.strip(), 60)
+        for role, column in self.picked.items():
+            if role in ANGLES and column.unit not in DEGREES:
                 raise FileFormatError(
-                    f"{self.place}: the angle {role} must be in deg or rad, got {name}"
+                    f"{self.place}: the angle {role} must be in deg or rad, got "
+                    f"{shown(column.name.strip(), 60)}"
                 )
 
     def _pick_channel(self, by_role: dict[str, list[Column]]) -> None:
@@ -273,10 +268,9 @@ class _Reading:
         seen = f" (it has {abridged(', '.join(map(repr, names)), 80)})" if names else ""
         options = " ".join(f"{role}=NAME" for role in unclear)
         number = ", or a number, such as theta_i=30" if "theta_i" in unclear else ""
-        questions = [
-            f"one column must be {', one '.join(unclear)}{seen}: say --columns "
-            f"{options}{number}"
-        ]
+        roles = ", one ".join(unclear)
+        say = f"say --columns {options}{number}"
+        questions = [f"one column must be {roles}{seen}: {say}"]
         if not self.own and not self._stated_quantity():
             questions.append(_quantity_question())
         # azimuths of exit without those of incidence
@@ -389,8 +383,7 @@ class _Reading:
         if not self.own:
             self.notes.insert(0, f"columns: {', '.join(columns)}")
         used = {column.name for column in self.known if column} | {""}
-        unused = [repr(name) for name in self.text.names if name not in used]
-        if unused:
+        if unused := [repr(name) for name in self.text.names if name not in used]:
             self.notes.append(f"not used: {abridged(', '.join(unused), 200)}")
         if self.text.decimal_comma:
             self.notes.append("numbers have decimal commas")
@@ -403,11 +396,10 @@ class _Reading:
         if n_left == len(at_90):
             raise FileFormatError(f"{self.place} has no row below 90 degrees")
         if n_left:
-            what = f"{n_left} of {number_of(len(at_90), 'row')}, at 90 degrees"
-            self.notes.append(f"{what}, left out")
+            rows = number_of(len(at_90), "row")
+            self.notes.append(f"{n_left} of {rows}, at 90 degrees, left out")
         self.lines = self.lines[~at_90]
-        given = {name: one for name, one in columns.items() if one is not None}
-        return {name: column[~at_90] for name, column in given.items()}
+        return {n: one[~at_90] for n, one in columns.items() if one is not None}
 
     # -------------------------------------------------------------------------- values
 
@@ -427,18 +419,15 @@ class _Reading:
         name = column.name.strip()
         if "quantity" in self.settings:
             if column.quantity not in ("", found):
-                self.notes.append(
-                    f"the values are {found}, as specified, although their name "
-                    f"{name!r} says {column.quantity}"
-                )
+                but = f"although their name {name!r} says {column.quantity}"
+                self.notes.append(f"the values are {found}, as specified, {but}")
         elif found and not (self.own and found == "brdf"):
             source = "their name" if column.quantity else "the title"
             self.notes.append(f"the values are {found}, as {source} says")
         elif self.own and not found:
-            found = "brdf"
+            found, taken = "brdf", "taken as brdf in 1/sr, without cosine"
             self.notes.append(
-                "no quantity is stated: taken as brdf in 1/sr, without cosine; "
-                "--quantity sets another"
+                f"no quantity is stated: {taken}; --quantity sets another"
             )
         elif not found:
             self.questions.append(_quantity_question(name))
@@ -449,12 +438,9 @@ class _Reading:
         panel, why = self.specified.panel_reflectance, ""
         titled = next(filter(None, map(PANEL.search, self.titles)), None)
         if titled and quantity == "reflectance_factor":
-            # a table that is saved holds it
-            self.header = {
-                key: text
-                for key, text in self.header.items()
-                if not PANEL.search(f"{key.replace('_', ' ')}: {text}")
-            }
+            for key, text in list(self.header.items()):  # a saved table holds it
+                if PANEL.search(f"{key.replace('_', ' ')}: {text}"):
+                    del self.header[key]
             if panel is None:
                 panel = float(titled[1].replace(",", ".")) * (0.01 if titled[2] else 1)
                 why = ", as the title says: --panel-reflectance 1 if they hold it"
@@ -476,20 +462,16 @@ class _Reading:
             return {"value": values, "sigma": sigma}
         coverage = self._coverage(column)
         name, sigma = column.name.strip(), sigma / coverage
+        its = f"the uncertainty {name!r:.40}"
+        say = f"say --columns sigma='{name}"
         if np.isnan(coverage):
-            self.questions.append(
-                f"the uncertainty {name!r:.40} may be expanded: give its name the "
-                f"factor, such as k=2, or say --columns sigma='{name}' if it is "
-                "standard"
-            )
+            factor = "may be expanded: give its name the factor, such as k=2"
+            self.questions.append(f"{its} {factor}, or {say}' if it is standard")
         both = column.unit in ("%", "1") and unit == column.unit
         if column.kind == "?" or (both and not column.kind):
-            those = f" and the values are in {unit}" if both else " may be in %"
-            self.questions.append(
-                f"the uncertainty {name!r:.40}{those}: say "
-                f"--columns sigma='{name}:rel' if it is relative to each value (or "
-                ":abs)"
-            )
+            those = f"and the values are in {unit}" if both else "may be in %"
+            relative = ":rel' if it is relative to each value (or :abs)"
+            self.questions.append(f"{its} {those}: {say}{relative}")
         kind = column.kind or ("rel" if column.unit in ("%", "1") else "abs")
         own = PARTS.get(column.unit, 1.0)
         if kind == "rel":
@@ -506,10 +488,9 @@ class _Reading:
         if "sigma" in self.specified.columns or coverage_of(column.name):
             return column.coverage
         lines = [line for line in self.titles if re.search(r"\bk\s*[=:]", line, re.I)]
-        names = [name.replace("_", " ").strip().lower() for name in self.text.names]
+        names = {name.replace("_", " ").strip().lower() for name in self.text.names}
         stated = {coverage_of(line) for line in lines} - {0, column.coverage}
-        left_open = stated or set(FACTOR_NAMES) & set(names)
-        return float("nan") if left_open else column.coverage
+        return float("nan") if stated or FACTOR_NAMES & names else column.coverage
 
     def _check_ranges(self, columns: Mapping[str, Any], quantity: str) -> None:
         """Raise FileFormatError with line and column of the first that does not fit."""

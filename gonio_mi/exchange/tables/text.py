@@ -4,6 +4,7 @@ Tabs, semicolons, commas or blanks between the cells; commas or points in the nu
 a byte-order mark; comments; lines of a title above the names of the columns.
 """
 
+import contextlib
 import csv
 import io
 import re
@@ -104,6 +105,7 @@ def split_text(
         If it is no text, or has no names or no rows.
     """
     comments, lines = _comments_and_lines(path)
+    place = str(path)
     if not lines:
         raise FileFormatError(f"{path} is empty: it has no line of column names")
     first = next((i for i, (_, text) in enumerate(lines) if is_row(text)), len(lines))
@@ -112,8 +114,7 @@ def split_text(
         candidates, lines[first : first + 1], known
     )
     for i in range(min(first, len(lines) - 1, MAX_TITLES)):
-        matrix = _matrix(str(path), lines[i:])
-        if matrix is not None:
+        if matrix := _matrix(place, lines[i:]):
             return replace(matrix, comments=comments, titles=lines[:i])
     if n_known < 2:
         if any(text.startswith(REFLET_HEAD) for _, text in lines):
@@ -138,16 +139,10 @@ def split_text(
     if len(rows) > 1 and has_units and not is_row(rows[0][1]):
         names = [f"{name} [{unit}]" for name, unit in zip(names, units)]
         rows = rows[1:]
-    return TextTable(
-        str(path),
-        delimiter,
-        number,
-        names,
-        rows,
-        [line for line in comments if line[0] != number],
-        [line for line in lines if line[0] < number],
-        has_decimal_commas(rows, delimiter),
-    )
+    comments = [line for line in comments if line[0] != number]
+    titles = [line for line in lines if line[0] < number]
+    commas = has_decimal_commas(rows, delimiter)
+    return TextTable(place, delimiter, number, names, rows, comments, titles, commas)
 
 
 def _matrix(place: str, lines: Sequence[Line]) -> TextTable | None:
@@ -177,9 +172,8 @@ def _matrix(place: str, lines: Sequence[Line]) -> TextTable | None:
                 f"angles of its rows and columns, as theta_o/theta_i, got {corner!r}"
             )
         unit = next((f" [{one.unit}]" for one in found if one.unit), "")
-        commas = has_decimal_commas(lines[1:], delimiter)
         matrix = TextTable(place, delimiter, number, [corner, *across], [*lines[1:]])
-        matrix.decimal_comma = commas
+        matrix.decimal_comma = commas = has_decimal_commas(matrix.rows, delimiter)
         rows = [
             (n, f"{row[0]};{angle};{value}")
             for n, row in matrix.cells()
@@ -221,16 +215,15 @@ def _best_names(
 
     One that cuts the line into as many cells as the first row, if there is one, wins.
     """
-    scored = []
+    best = False, 0, 0, 0, ","
     for order, delimiter in enumerate(DELIMITERS):
         n_cells = [len(cut(text, delimiter)) for _, text in row]
         for number, text in candidates:
             cells = cut(text, delimiter)
             n_known = sum(map(known, cells))
             fits = n_known > 0 and len(cells) > 1 and [len(cells)] == n_cells
-            scored.append((fits, n_known, -order, number, delimiter))
-    _, n_known, _, number, delimiter = max(scored, default=(False, 0, 0, 0, ","))
-    return n_known, number, delimiter
+            best = max(best, (fits, n_known, -order, number, delimiter))
+    return best[1], best[3], best[4]
 
 
 def decoded(path: str | PathLike[str]) -> str:
@@ -239,12 +232,10 @@ def decoded(path: str | PathLike[str]) -> str:
     marks = (b"\xff\xfe", b"\xfe\xff")
     encodings = ("utf-16",) if content.startswith(marks) else ("utf-8-sig", "cp1252")
     for encoding in encodings:
-        try:
+        with contextlib.suppress(ValueError):
             text = content.decode(encoding)
-        except ValueError:
-            continue
-        if not re.search(r"[\0-\x08\x0e-\x1f\x7f-\x9f]", text):
-            return text.replace("\N{MINUS SIGN}", "-")
+            if not re.search(r"[\0-\x08\x0e-\x1f\x7f-\x9f]", text):
+                return text.replace("\N{MINUS SIGN}", "-")
     raise FileFormatError(f"{path} is no table of values: it is not text")
 
 
@@ -262,9 +253,7 @@ def is_row(line: str) -> bool:
     """Whether a line holds at least two numbers and nothing else."""
     for delimiter in DELIMITERS:
         cells = [without_degrees(cell) for cell in cut(line, delimiter)]
-        if len(cells) > 1 and all(
-            is_decimal(c) or is_decimal(c.replace(",", ".", 1)) for c in cells
-        ):
+        if len(cells) > 1 and None not in map(_number, cells):
             return True
     return False
 

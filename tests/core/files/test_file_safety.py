@@ -680,8 +680,8 @@ def test_an_endless_line(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "reason"),
     [
-        (b"0.25 ", b"-0.25 ", "negative"),
-        (b"0.25 ", b"0_25 ", "must be a number"),
+        (b"0.25,", b"-0.25,", "negative"),
+        (b"0.25,", b"0_25,", "must be a number"),
         (b"<Layer>", b"<Layer>{block}", "twice"),
     ],
 )

@@ -131,7 +131,7 @@ def test_wrong_records_are_named(tmp_path):
 
 
 def test_without_plotly_one_sentence(monkeypatch, tmp_path):
-    monkeypatch.setitem(sys.modules, "plotly.offline", None)
+    monkeypatch.setitem(sys.modules, "plotly", None)
     with pytest.raises(ImportError, match=re.escape('pip install ".[report]"')):
         report(synthetic.record(), tmp_path / "a.html")
 

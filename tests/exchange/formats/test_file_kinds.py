@@ -5,9 +5,9 @@ import re
 import numpy as np
 import pytest
 import synthetic
-from gonio_mi.formats import height_map_reader
 
 from gonio_mi.cli import COMMANDS, main
+from gonio_mi.surfaces import height_map_reader
 
 KINDS = {
     "scan.sur": "gonio-mi surface or measure",

@@ -210,7 +210,7 @@ def test_open_material_is_as_its_schema_asks(tmp_path):
 
 
 def test_rows_of_open_material_in_the_plane_are_a_table_only(tmp_path):
-    metadata = dict.fromkeys(open_material.REQUIRED, "1.0.0")
+    metadata = dict.fromkeys(("name", "uuid", *open_material.METADATA), "1.0.0")
     metadata["uuid"] = "42e8da0f-ba1d-4cc8-b07a-178819c894c0"
     table = [[9.05e-7, 0.5, 0.1, 0.0, 0.2], [9.05e-7, 0.5, 0.1, 3.141592, 0.3]]
     brdf = {"wavelengths": [9.05e-7], "lookupTable": table}
@@ -708,7 +708,7 @@ def test_an_azimuth_of_360_is_that_of_0(tmp_path):
 
 
 def test_rows_of_open_material_at_90_degrees_are_counted(tmp_path):
-    metadata = dict.fromkeys(open_material.REQUIRED, "1.0.0")
+    metadata = dict.fromkeys(("name", "uuid", *open_material.METADATA), "1.0.0")
     metadata["uuid"] = "42e8da0f-ba1d-4cc8-b07a-178819c894c0"
     rows = [[5e-7, 0.5, theta, 0.0, 0.2] for theta in (0.1, 0.2, 1.570796)]
     content = {"wavelengths": [5e-7], "lookupTable": rows}
