@@ -93,8 +93,21 @@ def records_of(
     """Record of each order, or the one of all rays: stacks of what was `finished`.
 
     Light that was created gives a warning, and a precision that was not reached.
-    `resume` is the record that was carried on.
+    `resume` is the record that was carried on. Ctrl-C meanwhile costs no rays: they
+    are made again, as interrupted.
     """
+    try:
+        return _records(setups, finished, complete, resume)
+    except KeyboardInterrupt:
+        return _records(setups, finished, False, resume)
+
+
+def _records(
+    setups: Sequence[Setup],
+    finished: Sequence[Sequence[Tally]],
+    complete: bool,
+    resume: Record | None,
+) -> list[Record]:
     sent = [setup for setup, tallies in zip(setups, finished) if tallies]
     done = [Tally.join(tallies) for tallies in finished if tallies]
     orders = setups[0].orders

@@ -54,7 +54,8 @@ class Declaration:
     form : str
         Type in Python; that of `kind`, unless another one is given.
     plugin : str
-        Mitsuba plugin that has it as a property, None for none.
+        Mitsuba plugin that has it as a property, None for none; most often the
+        integrator.
     key : str
         Name of that property; that of the setting, unless another one is given.
     text : callable
@@ -72,7 +73,7 @@ class Declaration:
     group: str | None = None
     metavar: str = "N"
     form: str = ""
-    plugin: str | None = None
+    plugin: str | None = "goniophotometer"
     key: str = ""
     text: Callable[[Any], Any] = lambda value: value
     shown_default: str = ""
@@ -100,14 +101,9 @@ def setting(default: Any, *declared: Any, **more: Any) -> Any:
     return dataclasses.field(default=default, metadata={"declared": declaration})
 
 
+@cache
 def declarations(settings: Any) -> Mapping[str, Declaration]:
     """Declarations of a dataclass of settings by name, in their order."""
-    return _declarations(settings)
-
-
-@cache
-def _declarations(settings: Any) -> Mapping[str, Declaration]:
-    """The same, which are put together once."""
     return MappingProxyType(
         {
             field.name: field.metadata["declared"].named(field.name)
