@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from os import PathLike
@@ -13,13 +13,7 @@ from typing import Any
 import mitsuba as mi
 from numpy.typing import ArrayLike
 
-from ..errors import (
-    SettingError,
-    VariantError,
-    check_memory,
-    is_ctrl_c,
-    shown,
-)
+from ..errors import SettingError, VariantError, check_memory, is_ctrl_c, shown
 from ..progress import Announcement, bar
 from ..quadrature.integrate import integrals
 from ..results.record import Record
@@ -197,7 +191,10 @@ def send_all(
                     delay=1,
                 ) as joined:
                     single = single_scattering(setups, joined)
-            for some in _groups(len(setups), together):
+            # as few groups as there may be, about alike
+            size = -(-len(setups) // -(-len(setups) // together))
+            for first in range(0, len(setups), size):
+                some = slice(first, first + size)
                 # without the integrals beside them rays are not enough
                 sent = [[] if integrates else tallies for tallies in finished[some]]
                 if setups[0].samples:
@@ -217,12 +214,6 @@ def send_all(
         if tallies and light is not None:
             tallies[:] = [light.completed(Tally.join(tallies))]
     return complete
-
-
-def _groups(n: int, most: int) -> Iterator[slice]:
-    """Cut `n` things into as few groups as there may be of `most`, about alike."""
-    size = -(-n // -(-n // most))
-    return (slice(first, first + size) for first in range(0, n, size))
 
 
 def _send(

@@ -98,7 +98,12 @@ def set_up(
     specimen = Specimen(scene, settings.period)
     specimen.name = name
     _check_specimen(specimen, settings)
-    _check_enclosed(specimen, radius)
+    corner = np.abs([specimen.low, specimen.high]).max(axis=0)
+    if 0 < radius <= np.linalg.norm(corner):
+        raise SpecimenError(
+            "collector.radius must enclose the specimen, whose corner is at "
+            f"{corner}, got {radius}"
+        )
     described = described_digest(emitter)
     choice = None
 
@@ -177,16 +182,6 @@ def _find_defects(specimen: Specimen, nm: tuple[float, ...], lanes: Any) -> None
             warn(sentence)
         _defects[key] = sentences
     specimen.defects = _defects[key]
-
-
-def _check_enclosed(specimen: Specimen, radius: float) -> None:
-    """Raise SpecimenError if the specimen reaches beyond a collector of that radius."""
-    corner = np.abs([specimen.low, specimen.high]).max(axis=0)
-    if 0 < radius <= np.linalg.norm(corner):
-        raise SpecimenError(
-            "collector.radius must enclose the specimen, whose corner is at "
-            f"{corner}, got {radius}"
-        )
 
 
 def _beam(

@@ -58,14 +58,9 @@ class PredictionError:
         """The largest of all three, without sign."""
         return max(self.total_variation, abs(self.dhr), abs(self.dht))
 
-    @property
-    def significant(self) -> float:
-        """What of the error is beyond two standard errors; may be negative."""
-        return self.error - 2 * self.std_err
-
     def exceeds(self, tolerance: float) -> bool:
         """Whether the error is above the tolerance, beyond two standard errors."""
-        return self.significant > tolerance
+        return self.error - 2 * self.std_err > tolerance
 
 
 @dataclass(frozen=True)
