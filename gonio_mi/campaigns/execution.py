@@ -144,8 +144,8 @@ def _finish(
             keep(task, task.run())
         return
     for left in range(retries, -1, -1):
-        started = isinstance(executor, int)
-        with workers(executor) if started else nullcontext(executor) as pool:
+        pools: Any = workers if isinstance(executor, int) else nullcontext
+        with pools(executor) as pool:
             todo, death = _shared_out(todo, pool, keep)
         if death is None:
             return

@@ -11,7 +11,7 @@ own.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Any
 
@@ -375,9 +375,10 @@ class Totals:
 
     def __add__(self, other: Totals) -> Totals:
         names = ("rays", "flux", "incident", "elements")
-        pairs = [(getattr(self, name), getattr(other, name)) for name in names]
-        added = (None if mine is None else mine + theirs for mine, theirs in pairs)
-        return Totals(self.sums, *added)
+        pairs = {name: (getattr(self, name), getattr(other, name)) for name in names}
+        return replace(
+            self, **{name: a + b for name, (a, b) in pairs.items() if a is not None}
+        )
 
     @property
     def emitted(self) -> int:
