@@ -21,7 +21,7 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     as_completed,
 )
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from os import PathLike
@@ -144,7 +144,8 @@ def _finish(
             keep(task, task.run())
         return
     for left in range(retries, -1, -1):
-        with _started(executor) as pool:
+        pools: Any = workers if isinstance(executor, int) else nullcontext
+        with pools(executor) as pool:
             todo, death = _shared_out(todo, pool, keep)
         if death is None:
             return
@@ -175,11 +176,6 @@ def _shared_out(
             if not future.cancel() and future.done() and not future.exception():
                 keep(task, future.result())
     return lost, death
-
-
-def _started(executor: Executor | int | None) -> AbstractContextManager[Any]:
-    """Context of the executor; a new one of processes for their number."""
-    return workers(executor) if isinstance(executor, int) else nullcontext(executor)
 
 
 # ---------------------------------------------------------------------------- processes

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import LostLightWarning, SettingError, warn
 from ..instrument.incidence import incident_angles
-from ..instrument.measure import measure_stacks
+from ..instrument.measure import measure_each, measure_stacks
 from ..instrument.specimen_text import SpecimenLike
 from ..results.record import Record
 from ..results.summary import lost_light
@@ -85,17 +85,19 @@ def measure(
     LostRaysError
         If the ledger does not hold all rays that were sent.
     """
-    others: dict[str, Any] = {
-        "emitter": emitter,
-        "parameters": parameters,
-        "resume": resume,
-        "executor": executor,
-        "folder": folder,
-        "progress": progress,
-    }
     if "whole" in settings:  # is no setting, but for measure_whole
         MeasurementSettings().changed(whole=settings["whole"])
-    record = _measured(specimen, theta_i, phi_i, **others, **settings)
+    settings |= {"emitter": emitter, "parameters": parameters, "progress": progress}
+    incidents, stacked = incident_angles(theta_i, phi_i, settings.get("incident"))
+    if executor is None and folder is None:
+        (record,) = measure_stacks(specimen, incidents, resume=resume, **settings)
+    elif resume is not None:
+        raise SettingError("resume and folder exclude each other, got both")
+    else:
+        where: dict[str, Any] = {"executor": executor, "folder": folder}
+        done = campaign({"specimen": specimen}, theta_i, phi_i, **where, **settings)
+        record = done["specimen"]
+    record = record if stacked else record[0]
     for sentence in lost_light(record):
         warn(sentence, LostLightWarning)
     return record
@@ -107,36 +109,12 @@ def measure_whole(
     phi_i: ArrayLike = 0.0,
     **settings: Any,
 ) -> Record:
-    """Like :func:`measure`, without a warning of light that is lost.
+    """Like :func:`measure` here and at once, without a warning of light that is lost.
 
     And after Ctrl-C KeyboardInterrupt instead of a part.
     """
-    return _measured(specimen, theta_i, phi_i, whole=True, **settings)
-
-
-def _measured(
-    specimen: SpecimenLike,
-    theta_i: ArrayLike | None,
-    phi_i: ArrayLike,
-    *,
-    whole: bool = False,
-    resume: Record | None = None,
-    executor: Executor | int | None = None,
-    folder: str | PathLike[str] | None = None,
-    **settings: Any,
-) -> Record:
-    """Record of a measurement here and at once, or of a campaign of one specimen."""
     incidents, stacked = incident_angles(theta_i, phi_i, settings.get("incident"))
-    if executor is None and folder is None:
-        (record,) = measure_stacks(
-            specimen, incidents, whole=whole, resume=resume, **settings
-        )
-    elif resume is not None:
-        raise SettingError("resume and folder exclude each other, got both")
-    else:
-        where: dict[str, Any] = {"executor": executor, "folder": folder}
-        done = campaign({"specimen": specimen}, theta_i, phi_i, **where, **settings)
-        record = done["specimen"]
+    record = measure_each(specimen, incidents, whole=True, **settings)
     return record if stacked else record[0]
 
 

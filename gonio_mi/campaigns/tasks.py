@@ -126,23 +126,12 @@ def tasks_of(
     elif asked.rel_err or asked.noise:
         few = min(PRECISE, most)
     digests = tuple((os.path.abspath(path), file_digest(path)) for path in plugins)
+    common = mi.variant(), digests, os.getcwd(), threads, arguments
     tasks: list[Task] = []
     for name, specimen in specimens.items():
         for first in range(0, len(incidents), few):
             some = tuple(incidents[first : first + few])
-            tasks.append(
-                Task(
-                    len(tasks),
-                    str(name),
-                    specimen,
-                    some,
-                    mi.variant(),
-                    digests,
-                    os.getcwd(),
-                    threads,
-                    arguments,
-                )
-            )
+            tasks.append(Task(len(tasks), str(name), specimen, some, *common))
     return tasks
 
 

@@ -228,8 +228,11 @@ def disjoint_groups(
     list of list of (float, float)
         Few, but not the fewest; a direction goes to the first group with room for it.
     """
+    from scipy.spatial import cKDTree  # slow to import
+
     neighbours: list[list[int]] = [[] for _ in directions]
-    for i, j in _overlaps(directions, half_angle):
+    tree = cKDTree(_axes(directions))
+    for i, j in tree.query_pairs(_reach(half_angle), output_type="ndarray"):
         neighbours[max(i, j)].append(min(i, j))
     groups: list[list[tuple[float, float]]] = []
     group_of: list[int] = []
@@ -241,15 +244,6 @@ def disjoint_groups(
         groups[group].append(cone)
         group_of.append(group)
     return groups
-
-
-def _overlaps(directions: Sequence[tuple[float, float]], half_angle: float) -> Integers:
-    """Pairs of indices of directions whose cones overlap, shape (n, 2)."""
-    from scipy.spatial import cKDTree  # slow to import
-
-    return cKDTree(_axes(directions)).query_pairs(
-        _reach(half_angle), output_type="ndarray"
-    )
 
 
 def _nearest(

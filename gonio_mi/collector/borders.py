@@ -37,10 +37,7 @@ class Borders(RingsAndSectors):
     name: ClassVar[str] = "borders"
 
     def __post_init__(self) -> None:
-        for angle, n, end in (
-            ("theta_deg", "n_theta", 90),
-            ("phi_deg", "n_phi", 360),
-        ):
+        for angle, n, end in (("theta_deg", "n_theta", 90), ("phi_deg", "n_phi", 360)):
             edges = tuple(float(x) for x in getattr(self, angle))
             ascends = all(low < high for low, high in pairwise(edges))
             if len(edges) < 2 or edges[0] != 0 or edges[-1] != end or not ascends:
@@ -126,12 +123,7 @@ def adapted(
         )
     flux = brdf * subdivision.projected_solid_angles
 
-    def _quantiles(
-        marginal: Floats,
-        measure: Floats,
-        edges: Floats,
-        n: int,
-    ) -> Floats:
+    def _quantiles(marginal: Floats, measure: Floats, edges: Floats, n: int) -> Floats:
         density = (1 - uniform) * marginal / marginal.sum() + uniform * measure
         cumulative = np.append(0, np.cumsum(density))
         return np.interp(np.arange(1, n) / n, cumulative / cumulative[-1], edges)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..array_types import Flags, Floats, Integers
-from ..errors import SettingError
+from ..errors import SettingError, checked_choice
 from ..single_precision import FEW_ROUNDINGS
 from .directions import direction
 
@@ -20,14 +20,12 @@ from .directions import direction
 # fraction of its size; absolute in azimuth, where it only turns the collector.
 EDGE = FEW_ROUNDINGS
 
+# Functions that Dr.Jit names as NumPy does.
+SHARED_NAMES = ("sqrt", "sin", "cos", "floor", "ceil", "minimum")
+
 _NUMPY = SimpleNamespace(
-    sqrt=np.sqrt,
-    sin=np.sin,
-    cos=np.cos,
+    **{name: getattr(np, name) for name in SHARED_NAMES},
     atan2=np.arctan2,
-    floor=np.floor,
-    ceil=np.ceil,
-    minimum=np.minimum,
     where=np.where,
     count_below=lambda edges, x: np.searchsorted(edges, x, side="right"),
     take=lambda table, index: table[index.astype(int)],
@@ -335,13 +333,12 @@ class RingsAndSectors(Subdivision):
         ndarray, shape (n_theta, n_phi)
         """
         low, high = self.theta_edges[:-1], self.theta_edges[1:]
-        if theta_r == "theta":
-            cos_theta_r = np.cos((low + high) / 2)
-        elif theta_r == "cosine":
-            cos_theta_r = (np.cos(low) + np.cos(high)) / 2
-        else:
-            raise SettingError(f"theta_r must be 'theta' or 'cosine', got {theta_r!r}")
-        return self.solid_angles * cos_theta_r[:, None]
+        cos_theta_r = {
+            "theta": np.cos((low + high) / 2),
+            "cosine": (np.cos(low) + np.cos(high)) / 2,
+        }
+        checked_choice("theta_r", theta_r, list(cos_theta_r))
+        return self.solid_angles * cos_theta_r[theta_r][:, None]
 
     def patch_index(self, xp: Any, x: Any, y: Any, z: Any) -> Any:
         """Number ``i * n_phi + j`` of the patch; see `Subdivision.patch_index`."""

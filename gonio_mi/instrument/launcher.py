@@ -123,6 +123,31 @@ class Launcher:
         Each time one for each of the setups, which are `together` or less. `report` is
         called after each launch with the rays it sent.
         """
+        passes = setups[0].passes
+        for planned in self.plan(setups, part):
+            groups = []
+            for one, nm in zip(planned, passes):
+                total: Any = None
+                for piece in self.pieces(one):
+                    totals = launch(piece)
+                    self.size.learn(piece.rays, totals.started)
+                    total = totals if total is None else total + totals
+                    if report is not None:
+                        report(totals.emitted)
+                check_all_counted(sum(one.sizes), total.emitted)
+                tallies: list[Tally] = total.tallies(len(setups))
+                groups.append([x if nm is None else x.first(len(nm)) for x in tallies])
+            yield [
+                each[0] if len(each) == 1 else Tally.join_channels(each)
+                for each in zip(*groups)
+            ]
+
+    def plan(self, setups: Sequence[Setup], part: Round) -> Iterator[list[Launch]]:
+        """Yield what the next batches that share launches send, pass by pass, uncut.
+
+        Those that walk along a curve share packets of rays too, so that their number
+        follows from the rays alone: it decides about last bits, and the clock must not.
+        """
         setup, n = setups[0], len(setups)
         beams = tuple(one.beam for one in setups) if n > 1 else ()
         capacity = self.capacity * (self.together if n > 1 else 1)
@@ -130,37 +155,35 @@ class Launcher:
         facets = self._facets(setup, lanes)
         first, sizes = part.first, tuple(size for size in part.sizes for _ in setups)
         while sizes:
-            several = self._n_sharing(sizes, capacity, part.start, n)
-            batches = range(first, first + several // n)
-            keys = [(*one.key, batch) for batch in batches for one in setups]
-            groups = []
-            for number, nm in enumerate(setup.passes):
-                one = Launch(
+            several = min(len(sizes), capacity)
+            # else Ctrl-C keeps none before all have finished the round
+            if not (self.curved and part.start):
+                rays = FUSED_RAYS if self.curved else min(FUSED_RAYS, self.size.rays)
+                # the last batch is always among them
+                several = max(1, min(several, rays // sizes[-1]) // n) * n
+            keys = [
+                (*one.key, batch)
+                for batch in range(first, first + several // n)
+                for one in setups
+            ]
+            yield [
+                Launch(
                     setup,
                     beams,
-                    wavelengths=lanes[number],
+                    wavelengths=nm,
                     capacity=capacity,
                     keys=tuple((*key, number) for key in keys),
                     sizes=sizes[:several],
                     begin=part.start,
-                    facets=facets[number],
+                    facets=known,
                 )
-                total: Any = None
-                pieces = self._along_curve if self.curved else self._in_order
-                for piece in pieces(one):
-                    totals = launch(piece)
-                    self.size.learn(piece.rays, totals.started)
-                    total = totals if total is None else total + totals
-                    if report is not None:
-                        report(totals.emitted)
-                check_all_counted(sum(one.sizes), total.emitted)
-                tallies: list[Tally] = total.tallies(n)
-                groups.append([x if nm is None else x.first(len(nm)) for x in tallies])
-            yield [
-                each[0] if len(each) == 1 else Tally.join_channels(each)
-                for each in zip(*groups)
+                for number, (nm, known) in enumerate(zip(lanes, facets))
             ]
             first, sizes = first + several // n, sizes[several:]
+
+    def pieces(self, whole: Launch) -> Iterator[Launch]:
+        """Cut what batches send into launches, each of the size that was learnt."""
+        return self._along_curve(whole) if self.curved else self._in_order(whole)
 
     def _facets(self, setup: Setup, lanes: Sequence[Any]) -> list[MirrorFacets | None]:
         """Mirror facets of a setup for each pass: made in its first round."""
@@ -169,23 +192,6 @@ class Launcher:
             made = [MirrorFacets(setup, nm) if there else None for nm in lanes]
             self.known = setup, made
         return self.known[1]
-
-    def _n_sharing(
-        self, sizes: Sequence[int], capacity: int, begin: int, n: int
-    ) -> int:
-        """How many of the batches, which are about to be sent, share their launches.
-
-        A multiple of `n`, the incident directions that send them.
-
-        Those that walk along a curve share packets of rays too, so that their number
-        follows from the rays alone: it decides about last bits, and the clock must not.
-        """
-        most = min(len(sizes), capacity)
-        if self.curved and begin:
-            return most  # Ctrl-C keeps none before all have finished the round
-        rays = FUSED_RAYS if self.curved else min(FUSED_RAYS, self.size.rays)
-        # the last batch is always among them
-        return max(1, min(most, rays // sizes[-1]) // n) * n
 
     def _in_order(self, whole: Launch) -> Iterator[Launch]:
         """Launches that each send the next rays of all batches."""

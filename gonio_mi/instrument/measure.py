@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from os import PathLike
@@ -13,13 +13,7 @@ from typing import Any
 import mitsuba as mi
 from numpy.typing import ArrayLike
 
-from ..errors import (
-    SettingError,
-    VariantError,
-    check_memory,
-    is_ctrl_c,
-    shown,
-)
+from ..errors import SettingError, VariantError, check_memory, is_ctrl_c, shown
 from ..progress import Announcement, bar
 from ..quadrature.integrate import integrals
 from ..results.record import Record
@@ -151,30 +145,14 @@ def measure_stacks(
         check_resumable(resume, setups, round_rays(setups[0]))
         finished[: len(resume)] = [[tally] for tally in resume.tallies]
     started = time.perf_counter()
-    records, complete = carry_out(setups, finished, progress, resume)
+    complete = send_all(setups, finished, progress)
+    records = records_of(setups, finished, complete, resume)
     logger.info("measured for %.3g s: %r", time.perf_counter() - started, records[0])
-    if not complete:
+    if records[0].provenance.interrupted:
         if whole:
             raise KeyboardInterrupt
         warn_of_interruption(setups, records[0])
     return records
-
-
-def carry_out(
-    setups: Sequence[Setup],
-    finished: list[list[Tally]],
-    progress: bool = False,
-    resume: Record | None = None,
-) -> tuple[list[Record], bool]:
-    """Records of all setups, and whether they are complete, as of :func:`send_all`.
-
-    Ctrl-C while they are made costs no rays: they are made again, as interrupted.
-    """
-    complete = send_all(setups, finished, progress)
-    try:
-        return records_of(setups, finished, complete, resume), complete
-    except KeyboardInterrupt:
-        return records_of(setups, finished, False, resume), False
 
 
 def send_all(
@@ -186,21 +164,22 @@ def send_all(
     in the first round those that have finished it; it is raised if that is nothing.
     """
     settings, n_passes = setups[0].settings, len(setups[0].passes)
+    integrates = settings.estimator.integrates
     plan = batch_sizes(settings.rays, settings.batches)
     _check_sums_fit(setups, plan)
     # one that is carried on has sent more in some directions than in others
     launcher = Launcher(setups[:1] if any(finished) else setups)
+    together = MAX_TOGETHER if integrates else launcher.together
     rays = None
     if Target.of(settings) is None:
         before = sum(sum(rays_sent(tallies, n_passes)) for tallies in finished)
         rays = (len(setups) * sum(plan) - before) * n_passes
-    waiting: list[tuple[Setup, list[Tally], list[Tally]]] = []
     single: Sequence[SingleScattering | None] = [None] * len(setups)
     complete = True
     with bar(
         progress, total=rays, unit="ray", unit_scale=True, delay=1, mininterval=0.2
     ) as report:
-        if rays is not None and not settings.estimator.integrates:
+        if rays is not None and not integrates:
             report = Announcement(report, rays)
         try:
             if settings.estimator.splits:
@@ -212,19 +191,19 @@ def send_all(
                     delay=1,
                 ) as joined:
                     single = single_scattering(setups, joined)
-            for some in _groups(len(setups), launcher.together):
+            # as few groups as there may be, about alike
+            size = -(-len(setups) // -(-len(setups) // together))
+            for first in range(0, len(setups), size):
+                some = slice(first, first + size)
                 # without the integrals beside them rays are not enough
-                integrates = settings.estimator.integrates
                 sent = [[] if integrates else tallies for tallies in finished[some]]
                 if setups[0].samples:
                     _send(launcher, setups[some], single[some], sent, report)
                 elif report is not None:
                     report(sum(plan) * len(sent))
-                if integrates:
-                    waiting += zip(setups[some], sent, finished[some])
-                if len(waiting) >= MAX_TOGETHER:
-                    _integrate(waiting)
-            _integrate(waiting)
+                found = integrals(setups[some], sent) if integrates else []
+                for tallies, one in zip(finished[some], found):
+                    tallies[:] = [one]
         except (KeyboardInterrupt, RuntimeError) as error:
             if not is_ctrl_c(error):
                 raise
@@ -235,12 +214,6 @@ def send_all(
         if tallies and light is not None:
             tallies[:] = [light.completed(Tally.join(tallies))]
     return complete
-
-
-def _groups(n: int, most: int) -> Iterator[slice]:
-    """Cut `n` things into as few groups as there may be of `most`, about alike."""
-    size = -(-n // -(-n // most))
-    return (slice(first, first + size) for first in range(0, n, size))
 
 
 def _send(
@@ -285,15 +258,6 @@ def _send(
 def _looked_at(setup: Setup, light: SingleScattering | None, tally: Tally) -> Record:
     """Record of the rays so far, and of `light` if they leave that out."""
     return record_of(setup, light.completed(tally) if light else tally)
-
-
-def _integrate(waiting: list[tuple[Setup, list[Tally], list[Tally]]]) -> None:
-    """Finish the directions that wait for their integrals, which they share."""
-    if waiting:
-        setups, sent, tallies = zip(*waiting)
-        for kept, found in zip(tallies, integrals(setups, sent)):
-            kept[:] = [found]
-        waiting.clear()
 
 
 def _check_together(

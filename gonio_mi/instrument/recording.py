@@ -79,9 +79,34 @@ def _check_ledger(ledger: Ledger, setup: Setup) -> None:
             f"but all {ledger.emitted} rays missed it: if it has openings, give its "
             "period, such as --period box"
         )
-    _check_arrived(ledger)
-    _warn_of_invalid(ledger, setup)
-    _warn_of_astray(ledger)
+    met = ledger.emitted - ledger.missed - ledger.unlit
+    closed = "a shape with a medium must be closed, and overlap no other, but"
+    if 0 < ledger.astray == met:
+        raise SpecimenError(
+            f"{closed} all {met} rays that met it left the scene inside of a medium, "
+            "or met a surface of another one; layers that are open at their sides are "
+            "measured with --period box, and two shapes about one medium share it by a "
+            "reference"
+        )
+    if ledger.invalid:
+        deposits = setup.settings.estimator.deposits
+        functions = "sample() or eval()" if deposits else "sample()"
+        matrix = "elements above the first, " if mi.is_polarized else ""
+        near = " or the emitter is too near for single rays,"
+        near = "" if setup.beam.collimated else near
+        warn(
+            f"the BSDF's {functions} returned a negative, infinite or NaN weight, "
+            f"{matrix}or no unit direction,{near} for {ledger.invalid} of "
+            f"{ledger.emitted} rays; they are in the ledger's row invalid and in no "
+            "patch"
+        )
+    if ledger.astray:
+        warn(
+            f"{closed} {ledger.astray} of {ledger.emitted} rays left the scene inside "
+            "of a medium or met a surface that is said to lie in another one; they are "
+            "in the ledger's row astray and in no patch; layers that are open at their "
+            "sides are measured with --period box"
+        )
 
 
 def records_of(
@@ -93,8 +118,21 @@ def records_of(
     """Record of each order, or the one of all rays: stacks of what was `finished`.
 
     Light that was created gives a warning, and a precision that was not reached.
-    `resume` is the record that was carried on.
+    `resume` is the record that was carried on. Ctrl-C meanwhile costs no rays: they
+    are made again, as interrupted.
     """
+    try:
+        return _records(setups, finished, complete, resume)
+    except KeyboardInterrupt:
+        return _records(setups, finished, False, resume)
+
+
+def _records(
+    setups: Sequence[Setup],
+    finished: Sequence[Sequence[Tally]],
+    complete: bool,
+    resume: Record | None,
+) -> list[Record]:
     sent = [setup for setup, tallies in zip(setups, finished) if tallies]
     done = [Tally.join(tallies) for tallies in finished if tallies]
     orders = setups[0].orders
@@ -162,44 +200,6 @@ def _warn_of_created_light(stack: Record) -> None:
                 f"for incidence at theta_i {theta_i:g}, phi_i {phi_i:g}"
             )
             return
-
-
-def _warn_of_invalid(ledger: Ledger, setup: Setup) -> None:
-    if ledger.invalid:
-        deposits = setup.settings.estimator.deposits
-        functions = "sample() or eval()" if deposits else "sample()"
-        matrix = "elements above the first, " if mi.is_polarized else ""
-        near = " or the emitter is too near for single rays,"
-        near = "" if setup.beam.collimated else near
-        warn(
-            f"the BSDF's {functions} returned a negative, infinite or NaN weight, "
-            f"{matrix}or no unit direction,{near} for {ledger.invalid} of "
-            f"{ledger.emitted} rays; they are in the ledger's row invalid and in no "
-            "patch"
-        )
-
-
-def _check_arrived(ledger: Ledger) -> None:
-    """Raise SpecimenError where all rays that met the specimen went astray."""
-    met = ledger.emitted - ledger.missed - ledger.unlit
-    if 0 < ledger.astray == met:
-        raise SpecimenError(
-            "a shape with a medium must be closed, and overlap no other, but all "
-            f"{met} rays that met it left the scene inside of a medium, or met a "
-            "surface of another one; layers that are open at their sides are measured "
-            "with --period box, and two shapes about one medium share it by a reference"
-        )
-
-
-def _warn_of_astray(ledger: Ledger) -> None:
-    if ledger.astray:
-        warn(
-            "a shape with a medium must be closed, and overlap no other, but "
-            f"{ledger.astray} of {ledger.emitted} rays left the scene inside of a "
-            "medium or met a surface that is said to lie in another one; they are in "
-            "the ledger's row astray and in no patch; layers that are open at their "
-            "sides are measured with --period box"
-        )
 
 
 # A parameter of a medium that has more, such as a grid, is told by its size.

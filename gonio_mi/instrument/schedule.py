@@ -97,16 +97,10 @@ def _plans(
         tallies[:] = [Tally.join(tallies)]
         goal = target.next_goal(look(tallies[0]), each * batches) // batches
         if goal > each:
-            goal = _even(goal, settings.max_rays // batches)
-
-
-def _even(rays: int, most: int) -> int:
-    """So many rays or up to an eighth more, where points of low discrepancy are even.
-
-    From there on few launches along a curve are enough, which take aligned blocks.
-    """
-    step = max(1 << rays.bit_length() >> 4, 1)
-    return min(-(-rays // step) * step, most)
+            # up to an eighth more, where points of low discrepancy are even: a few
+            # launches along a curve, which take aligned blocks, are enough from there
+            step = max(1 << goal.bit_length() >> 4, 1)
+            goal = min(-(-goal // step) * step, settings.max_rays // batches)
 
 
 def rays_sent(tallies: Sequence[Tally], passes: int) -> list[int]:

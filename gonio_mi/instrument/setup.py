@@ -98,7 +98,12 @@ def set_up(
     specimen = Specimen(scene, settings.period)
     specimen.name = name
     _check_specimen(specimen, settings)
-    _check_enclosed(specimen, radius)
+    corner = np.abs([specimen.low, specimen.high]).max(axis=0)
+    if 0 < radius <= np.linalg.norm(corner):
+        raise SpecimenError(
+            "collector.radius must enclose the specimen, whose corner is at "
+            f"{corner}, got {radius}"
+        )
     described = described_digest(emitter)
     choice = None
 
@@ -149,7 +154,10 @@ def _check_estimator(setup: Setup) -> None:
 
 
 def _check_specimen(specimen: Specimen, settings: MeasurementSettings) -> None:
-    """Raise what a BSDF of the specimen raises, or SpecimenError beyond its data."""
+    """Raise what a BSDF of the specimen raises, or SpecimenError beyond its data.
+
+    And set its defects.
+    """
     lanes = [wavelength_lanes(nm) for nm in passes(settings.wavelengths)]
     bsdfs = [surface.bsdf() for surface in specimen.surfaces]
     check_works(bsdfs, lanes[0], settings.estimator)
@@ -158,35 +166,20 @@ def _check_specimen(specimen: Specimen, settings: MeasurementSettings) -> None:
         check_covered([*bsdfs, *specimen.media], settings.wavelengths)
     if specimen.media:
         check_media(specimen, lanes, settings.estimator)
-    _find_defects(specimen, settings.wavelengths[:4], lanes[0])
-
-
-def _find_defects(specimen: Specimen, nm: tuple[float, ...], lanes: Any) -> None:
-    """Set its defects, with a warning when this specimen is asked for the first time.
-
-    A campaign sets it up again for each direction.
-    """
+    # with a warning when this specimen is asked for the first time: a campaign sets it
+    # up again for each direction
     phases = [medium.phase_function() for medium in specimen.media]
     written = (type(one) for phase in phases for one in foreign_plugins(phase))
+    nm = settings.wavelengths[:4]
     key = mi.variant(), nm, specimen.digest, frozenset(written)
     if key not in _defects:
         box = specimen.low, specimen.high
-        found = filter(None, (phase_defect(phase, lanes, *box) for phase in phases))
+        found = filter(None, (phase_defect(phase, lanes[0], *box) for phase in phases))
         sentences = list(dict.fromkeys([*specimen.thin_gaps(), *found]))
         for sentence in sentences:
             warn(sentence)
         _defects[key] = sentences
     specimen.defects = _defects[key]
-
-
-def _check_enclosed(specimen: Specimen, radius: float) -> None:
-    """Raise SpecimenError if the specimen reaches beyond a collector of that radius."""
-    corner = np.abs([specimen.low, specimen.high]).max(axis=0)
-    if 0 < radius <= np.linalg.norm(corner):
-        raise SpecimenError(
-            "collector.radius must enclose the specimen, whose corner is at "
-            f"{corner}, got {radius}"
-        )
 
 
 def _beam(

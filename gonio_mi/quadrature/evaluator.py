@@ -183,7 +183,13 @@ class Evaluator:
         self, bsdf: mi.BSDF, light: IncidentLight, axes: Floats | None = None
     ) -> None:
         self.bsdf, self.light = bsdf, light
-        self.frames = None if axes is None else _frames(axes)
+        self.frames: Any = None
+        if axes is not None:
+            # columns of polar angle, azimuth and axis: of +z the identity
+            theta, phi = angles(axes)
+            across = direction(theta + np.pi / 2, phi)
+            along = direction(np.full_like(phi, np.pi / 2), phi + np.pi / 2)
+            self.frames = np.stack([across, along, axes], axis=-1)
         self.by_ray = holds_foreign_plugins(bsdf)
         self.n_evaluations = np.zeros(dr.width(light.wi), dtype=np.int64)
 
@@ -365,14 +371,6 @@ class Evaluator:
             f"theta {np.degrees(theta):.3f}, phi {np.degrees(phi):.3f} degrees"
             f"{' in transmission' if cells.lower[cell] else ''}"
         )
-
-
-def _frames(axes: Floats) -> Floats:
-    """Columns of polar angle, azimuth and axis, shape (n, 3, 3); of +z the identity."""
-    theta, phi = angles(axes)
-    across = direction(theta + np.pi / 2, phi)
-    along = direction(np.full_like(phi, np.pi / 2), phi + np.pi / 2)
-    return np.stack([across, along, axes], axis=-1)
 
 
 def _pieces(n: int) -> list[slice]:

@@ -242,7 +242,10 @@ def integrate_each(
         found += _integrated(evaluator, cells, subdivision, integral_err, lights)
     if subdivision.axes is not None:
         for one in found:
-            _take_cones_from_rest(one.flux, one.error)
+            # the last patch, a hemisphere, is left what the cones before do not hold
+            held = one.flux[:, :-1].sum(axis=1)
+            one.flux[:, -1] = np.maximum(one.flux[:, -1] - held, 0)
+            one.error[:, -1] += one.error[:, :-1].sum(axis=1)
     return found
 
 
@@ -271,7 +274,9 @@ def _integrated(
         tolerance *= cells.tolerated(way)[:, None]
         difference = np.abs(values - coarse)
         smooth = way == QUARTERS
-        difference[~smooth] = _swing(values_at, cells, ~smooth)
+        # what a step anywhere in one of four parts can change
+        swing = np.ptp(values_at[~smooth].astype(float), axis=1)
+        difference[~smooth] = swing * cells.area[~smooth, None] / 4
         # what the points of smooth cells cannot see
         difference[smooth] += evaluator.hidden(cells[smooth], values_at[smooth])
         settled = smooth & np.all(difference <= tolerance, axis=1)
@@ -305,13 +310,6 @@ def _integrated(
     ]
 
 
-def _take_cones_from_rest(flux: Floats, error: Floats) -> None:
-    """Leave to the last patch, a hemisphere, what the cones before do not hold."""
-    held = flux[:, :-1].sum(axis=1)
-    flux[:, -1] = np.maximum(flux[:, -1] - held, 0)
-    error[:, -1] += error[:, :-1].sum(axis=1)
-
-
 def _check_converged(
     evaluator: Evaluator, error: Floats, allowed: Floats, integral_err: float
 ) -> None:
@@ -325,13 +323,6 @@ def _check_converged(
                 f"converge to {integral_err:g}, but {n_evaluations:.3g} evaluations "
                 f"gave {_worst(wrong, right) * integral_err:.2g} for the worst patch"
             )
-
-
-def _swing(values_at: Singles, cells: Cells, chosen: Flags) -> Floats:
-    """What a step anywhere in the chosen cells, in one of four parts, can change."""
-    values = values_at[chosen].astype(float)
-    swing = values.max(axis=1) - values.min(axis=1)
-    return swing * cells.area[chosen, None] / 4
 
 
 def _moved(cells: Cells, values: Floats, values_at: Singles) -> Floats:

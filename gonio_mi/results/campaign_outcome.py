@@ -58,14 +58,9 @@ class PredictionError:
         """The largest of all three, without sign."""
         return max(self.total_variation, abs(self.dhr), abs(self.dht))
 
-    @property
-    def significant(self) -> float:
-        """What of the error is beyond two standard errors; may be negative."""
-        return self.error - 2 * self.std_err
-
     def exceeds(self, tolerance: float) -> bool:
         """Whether the error is above the tolerance, beyond two standard errors."""
-        return self.significant > tolerance
+        return self.error - 2 * self.std_err > tolerance
 
 
 @dataclass(frozen=True)
@@ -117,16 +112,13 @@ class CampaignOutcome:
         try:
             symmetry = found.get("symmetry", {"turns": 1, "mirror": None, "copies": []})
             mirror = symmetry["mirror"]
+            numbers = ("tolerance", "theta_max", "measured", "rays", "within")
             outcome = cls(
-                tolerance=_number(found["tolerance"]),
-                theta_max=_number(found["theta_max"]),
+                **{name: _number(found[name]) for name in numbers},
                 isotropic=found["isotropic"],
                 turns=symmetry["turns"],
                 mirror=None if mirror is None else _number(mirror),
                 copies=tuple((_number(a), _number(b)) for a, b in symmetry["copies"]),
-                measured=_number(found["measured"]),
-                rays=_number(found["rays"]),
-                within=_number(found["within"]),
                 unseen=tuple(
                     PredictionError(*map(_number, row)) for row in found["unseen"]
                 ),

@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
+from enum import IntEnum
 
 import numpy as np
 
@@ -147,6 +148,21 @@ class Estimates(ABC):
         return self.tally.sums[:, hemisphere].sum(axis=(1, 2))
 
 
+class Regime(IntEnum):
+    """How much is known of a patch's scatter: whether its hits are few, or heavy rare.
+
+    ``MANY`` hits have limits by Student's t, ``FEW`` those of their count, and in both
+    cases at least those of unlike weights where heavy hits are ``RARE`` or few hits
+    weigh unlike; nothing was received in the ``DARK``, which has an upper limit.
+    """
+
+    MANY = 0
+    RARE = 1
+    FEW = 2
+    FEW_AND_RARE = 3
+    DARK = 4
+
+
 @dataclass(frozen=True, eq=False)
 class SampledEstimates(Estimates):
     """Estimates from rays alone: counts, or weights that scatter between batches.
@@ -259,31 +275,42 @@ class SampledEstimates(Estimates):
             weight = fraction * self.rays / hits
         scatter, heavy = self._scatter(hemisphere), self._heavy(hemisphere)
         largest = np.nanmax(weight, initial=1.0)
-        low, high = self._student(fraction, scatter, weight, hits, level)
-        if self.deposited:
-            # so far from evenly spread and alike that some of great weight are missing;
-            # where most patches say so, those that do not may have missed all of them
-            uneven = scatter * np.sqrt(hits) > MAX_EVEN_SCATTER * fraction
-            lit = (hits > 0).sum() * self.tally.channels
-            uneven |= uneven.sum() > MAX_UNEVEN_PATCHES * lit
-            few = ((hits < MIN_DEPOSITS) | uneven) & (hits > 0)
-        else:
-            few = hits < (MIN_HITS if self.independent else MIN_EVEN_HITS)
-            few &= hits > 0
-            alike = statistics.binomial_interval(hits, self.rays, level)
-            low, high = (
-                np.where(few, limit * weight, student)
-                for limit, student in zip(alike, (low, high))
-            )
-            few &= self.tally.scale > 1  # what is counted weighs 1
-        missed = np.where(few, largest, weight) if self.deposited else weight
+        few = self._few(fraction, scatter, hits)
         rare = self._rare(fraction, scatter, hits, heavy)
+        regime = Regime.FEW * few + Regime.RARE * rare
+        regime = np.where(self.dark(hemisphere), Regime.DARK, regime)
+        missed = np.where(few, largest, weight) if self.deposited else weight
         heavy = np.where(rare, heavy, 0.0)
         unlike = self._unlike_interval(fraction, scatter, missed, heavy, level)
-        low, high = _widened((low, high), unlike, few | rare)
-        dark = self.dark(hemisphere)
-        most = statistics.upper_limit(self.rays, level) * largest
-        return np.where(dark, 0.0, low), np.where(dark, most, high)
+        student = alike = self._student(fraction, scatter, weight, hits, level)
+        if not self.deposited:
+            low, high = statistics.binomial_interval(hits, self.rays, level)
+            alike = low * weight, high * weight
+        weighs_one = self.tally.scale == 1 and not self.deposited
+        dark = np.zeros(()), statistics.upper_limit(self.rays, level) * largest
+        limits = {
+            Regime.MANY: student,
+            Regime.RARE: _widened(student, unlike),
+            Regime.FEW: alike if weighs_one else _widened(alike, unlike),
+            Regime.FEW_AND_RARE: _widened(alike, unlike),
+            Regime.DARK: dark,
+        }
+        those = [regime == one for one in limits]
+        lows, highs = zip(*limits.values())
+        return np.select(those, lows), np.select(those, highs)
+
+    def _few(self, value: Floats, scatter: Floats, hits: Counts) -> Flags:
+        """Whether there are hits, but too few or too unlike ones for Student's t."""
+        if not self.deposited:
+            return (hits > 0) & (
+                hits < (MIN_HITS if self.independent else MIN_EVEN_HITS)
+            )
+        # so far from evenly spread and alike that some of great weight are missing;
+        # where most patches say so, those that do not may have missed all of them
+        uneven = scatter * np.sqrt(hits) > MAX_EVEN_SCATTER * value
+        lit = (hits > 0).sum() * self.tally.channels
+        uneven |= uneven.sum() > MAX_UNEVEN_PATCHES * lit
+        return ((hits < MIN_DEPOSITS) | uneven) & (hits > 0)
 
     def total_interval(self, hemisphere: int, level: float) -> tuple[Floats, Floats]:
         """Limits of :meth:`total`."""
@@ -315,10 +342,11 @@ class SampledEstimates(Estimates):
             of_each = np.broadcast_to(hits, value.shape)
             return statistics.binomial_interval(of_each, self.rays, level)
         weight = value * self.rays / hits
-        low, high = self._student(value, std_err, weight, hits, level)
+        limits = self._student(value, std_err, weight, hits, level)
         unlike = self._unlike_interval(value, std_err, weight, heavy, level)
         rare = self._rare(value, std_err, hits, heavy)
-        low, high = _widened((low, high), unlike, rare)
+        wide = zip(_widened(limits, unlike), limits)
+        low, high = (np.where(rare, *ends) for ends in wide)
         low = np.maximum(low, 0.0)  # no flux is negative
         # a channel that none of these hits carried is dark as without them
         none = statistics.binomial_interval(0, self.rays, level)
@@ -375,12 +403,10 @@ class SampledEstimates(Estimates):
 
 
 def _widened(
-    limits: tuple[Floats, Floats], others: tuple[Floats, Floats], where: Flags
+    limits: tuple[Floats, Floats], others: tuple[Floats, Floats]
 ) -> tuple[Floats, Floats]:
-    """Limits that reach at least to others, where these are known and wanted."""
-    (low, high), (least, most) = limits, others
-    low = np.where(where, np.fmin(low, least), low)
-    return low, np.where(where, np.fmax(high, most), high)
+    """Limits that reach at least to others, where these are known."""
+    return np.fmin(limits[0], others[0]), np.fmax(limits[1], others[1])
 
 
 @dataclass(frozen=True, eq=False)

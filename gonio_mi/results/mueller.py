@@ -183,7 +183,9 @@ class MuellerEstimates:
 
     def _few(self, hemisphere: int) -> Flags:
         """Patches with too few hits for Student's t, ``(n_theta, n_phi, 1)``."""
-        found: Flags = self.light.hits[hemisphere][..., None] < self._enough
+        enough = MIN_HITS if self.light.independent else MIN_EVEN_HITS
+        enough = MIN_DEPOSITS if self.light.deposited else enough
+        found: Flags = self.light.hits[hemisphere][..., None] < enough
         return found
 
     def _light_and_rest(
@@ -198,13 +200,6 @@ class MuellerEstimates:
     def _incident(self) -> Floats:
         """Incident flux per batch, broadcastable to matrices of one hemisphere."""
         return self.tally.incident[:, None, None, :, None, None].astype(float)
-
-    @property
-    def _enough(self) -> int:
-        """Hits of a patch from which Student's t is good."""
-        if self.light.deposited:
-            return MIN_DEPOSITS
-        return MIN_HITS if self.light.independent else MIN_EVEN_HITS
 
     def _sum(self, hemisphere: int) -> Floats:
         """Sums over the patches of one hemisphere, per batch."""

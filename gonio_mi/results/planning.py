@@ -140,25 +140,15 @@ class Plan:
             f"|error| < {self.epsilon:g} of the incident flux, {1 - self.delta:.3g}"
         )
         relative = f"relative error < {self.rel_err:g}, {self.level:.3g}"
+        standard = f"relative standard error < {self.rel_err:g} (measure --rel-err)"
+        lobe = f"{self.n_lobe} patches in the lobe"
         rows = [
             (self.chebyshev, "one patch (eq. 17)", absolute),
             (self.paper, f"{self.n_patches} patches (eq. 21)", absolute),
-            (
-                self.paper_lobe,
-                f"{self.n_lobe} patches in the lobe (eq. 21, m')",
-                absolute,
-            ),
+            (self.paper_lobe, f"{lobe} (eq. 21, m')", absolute),
             (self.union, f"{self.n_patches} patches, union bound", absolute),
-            (
-                self.standard_error,
-                f"{self.n_lobe} patches in the lobe, each",
-                f"relative standard error < {self.rel_err:g} (measure --rel-err)",
-            ),
-            (
-                self.relative,
-                f"{self.n_lobe} patches in the lobe, all at once",
-                relative,
-            ),
+            (self.standard_error, f"{lobe}, each", standard),
+            (self.relative, f"{lobe}, all at once", relative),
         ]
         lines = [f"patch probabilities from {self.source}"]
         lines += [f"{rays:14.4g}  {what:42s}{asked}" for rays, what, asked in rows]

@@ -50,14 +50,8 @@ def prediction_error(record: Record, predicted: Floats) -> PredictionError:
         distance, std_err = each.mean(), each.std(ddof=1) / np.sqrt(len(each))
     totals = difference.sum(axis=(1, 2, 3)) / total
     dhr, dht = (*totals, 0.0)[:2]
-    return PredictionError(
-        float(record.theta_i[0]),
-        float(record.phi_i[0]),
-        float(distance),
-        float(std_err),
-        float(dhr),
-        float(dht),
-    )
+    angles = record.theta_i[0], record.phi_i[0]
+    return PredictionError(*map(float, (*angles, distance, std_err, dhr, dht)))
 
 
 def expected_noise(record: Record) -> float:

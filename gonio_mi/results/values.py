@@ -193,14 +193,10 @@ class MeasuredValues:
             If `incident` is no light, for another `of`, or without Mueller matrices or
             lower hemisphere.
         """
-        vector = checked_stokes(incident)
-        checked_choice("of", of, QUANTITIES)
-        hemisphere = self._polarised_hemisphere(of)
         if of in TOTALS:
-            totals = [one.total_stokes(hemisphere, vector) for one in self._mueller]
-            return self._both(totals)
-        pairs = [one.stokes(hemisphere, vector) for one in self._mueller]
-        return self._both(pairs, self._projected[..., None])
+            return self._of_stokes("total_stokes", incident, of)
+        solid = self._projected[..., None]
+        return self._of_stokes("stokes", incident, of, solid=solid)
 
     def normalised_stokes(
         self, incident: ArrayLike, of: str = "brdf"
@@ -212,12 +208,7 @@ class MeasuredValues:
         ``(n_theta, n_phi, channels, 3)``, of totals ``(channels, 3)``; NaN without
         light.
         """
-        vector = checked_stokes(incident)
-        checked_choice("of", of, QUANTITIES)
-        hemisphere, total = self._polarised_hemisphere(of), of in TOTALS
-        return self._both(
-            [one.normalised_stokes(hemisphere, vector, total) for one in self._mueller]
-        )
+        return self._of_stokes("normalised_stokes", incident, of, of in TOTALS)
 
     def degree(self, incident: ArrayLike, of: str = "brdf") -> tuple[Floats, Floats]:
         """Degrees of polarisation of the light that leaves, and their standard errors.
@@ -227,12 +218,7 @@ class MeasuredValues:
         light, and errors for fewer hits than Student's t needs (:meth:`interval`).
         Noise makes a degree near 0 larger, by about its error.
         """
-        vector = checked_stokes(incident)
-        checked_choice("of", of, QUANTITIES)
-        hemisphere, total = self._polarised_hemisphere(of), of in TOTALS
-        return self._both(
-            [one.degree(hemisphere, vector, total) for one in self._mueller]
-        )
+        return self._of_stokes("degree", incident, of, of in TOTALS)
 
     def degree_interval(
         self, incident: ArrayLike, level: float = 0.95, of: str = "brdf"
@@ -242,13 +228,9 @@ class MeasuredValues:
         By Student's t over the batches, and from 0 to 1 for fewer hits than it needs.
         The lower one is 0 unless one of Q, U and V is known not to be 0.
         """
-        vector = checked_stokes(incident)
         level = checked_number("level", level, 1e-12, 1, "between 0 and 1")
         checked_choice("of", of, ("brdf", "btdf"))
-        hemisphere = self._polarised_hemisphere(of)
-        return self._both(
-            [one.degree_interval(hemisphere, vector, level) for one in self._mueller]
-        )
+        return self._of_stokes("degree_interval", incident, of, level)
 
     @property
     def flux_fraction(self) -> Floats:
@@ -437,6 +419,26 @@ class MeasuredValues:
             return None
         each = np.stack([quantity(one) for one in self._mueller])
         return read_only_array(self._squeeze(each))
+
+    def _of_stokes(
+        self,
+        name: str,
+        incident: ArrayLike,
+        of: str,
+        *more: float,
+        solid: Floats | float = 1.0,
+    ) -> tuple[Floats, Floats]:
+        """Pairs that a method of :class:`MuellerEstimates` returns for Stokes vectors.
+
+        Parameters
+        ----------
+        name : str
+            Of the method, which takes a hemisphere, the vector and `more`.
+        """
+        vector = checked_stokes(incident)
+        checked_choice("of", of, QUANTITIES)
+        where = self._polarised_hemisphere(of), vector, *more
+        return self._both([getattr(one, name)(*where) for one in self._mueller], solid)
 
     def _polarised_hemisphere(self, of: str) -> int:
         """Hemisphere of a quantity, once there are matrices of it."""

@@ -54,7 +54,8 @@ class Declaration:
     form : str
         Type in Python; that of `kind`, unless another one is given.
     plugin : str
-        Mitsuba plugin that has it as a property, None for none.
+        Mitsuba plugin that has it as a property, None for none; most often the
+        integrator.
     key : str
         Name of that property; that of the setting, unless another one is given.
     text : callable
@@ -72,7 +73,7 @@ class Declaration:
     group: str | None = None
     metavar: str = "N"
     form: str = ""
-    plugin: str | None = None
+    plugin: str | None = "goniophotometer"
     key: str = ""
     text: Callable[[Any], Any] = lambda value: value
     shown_default: str = ""

@@ -132,7 +132,6 @@ class MeasurementSettings:
         "Rays for each incident direction. In spectral variants so many for every four "
         "wavelengths; up to 1e15.",
         group=METHOD,
-        plugin=INTEGRATOR,
         shown_default="1e6",
     )
     rel_err: float | None = setting(
@@ -146,7 +145,6 @@ class MeasurementSettings:
         "whichever is more.",
         group=METHOD,
         metavar="X",
-        plugin=INTEGRATOR,
         shown_default="none; 1e-4 for quadrature",
     )
     noise: float | None = setting(
@@ -158,6 +156,7 @@ class MeasurementSettings:
         "direction: half the sum of the expected absolute errors of all patches, over "
         "``dhr + dht``.",
         shown_default="none",
+        plugin=None,
     )
     max_rays: int = setting(
         10**9,
@@ -166,6 +165,7 @@ class MeasurementSettings:
         "Upper limit of rays for `rel_err` and `noise`; warns if reached.",
         group=METHOD,
         shown_default="1e9",
+        plugin=None,
     )
     floor: float = setting(
         0.1,
@@ -173,6 +173,7 @@ class MeasurementSettings:
         Kind.NUMBER,
         "Patches whose BRDF (or BTDF) is below this fraction of the mean over the "
         "collector do not count for `rel_err`.",
+        plugin=None,
     )
     batches: int = setting(
         16,
@@ -181,7 +182,6 @@ class MeasurementSettings:
         "Number of independent batches, whose scatter gives the standard errors. With "
         "``sobol`` every doubling costs a fifth of the precision of the same rays.",
         group=METHOD,
-        plugin=INTEGRATOR,
     )
 
     # -------------------------------------------------------------------------- method
@@ -208,7 +208,6 @@ class MeasurementSettings:
         group=METHOD,
         metavar="E",
         form='{"weighted", "analog", "quadrature", "next_event", "split", "auto"}',
-        plugin=INTEGRATOR,
         text=str,
     )
     points: int = setting(
@@ -219,7 +218,6 @@ class MeasurementSettings:
         "each costs a fraction of a ray. For maps of diffuse facets "
         "take as many as there are patches, and few rays.",
         group=METHOD,
-        plugin=INTEGRATOR,
     )
     sampler: Any = setting(
         None,
@@ -231,6 +229,7 @@ class MeasurementSettings:
         metavar="S",
         form="str or dict",
         shown_default="sobol",
+        plugin=None,
     )
     seed: int = setting(
         0,
@@ -240,6 +239,7 @@ class MeasurementSettings:
         "kind of processor, whatever the number of threads.",
         group=METHOD,
         metavar="S",
+        plugin=None,
     )
 
     # --------------------------------------------------------------------------- light
@@ -253,6 +253,7 @@ class MeasurementSettings:
         group=LIGHT,
         metavar="front|back",
         form='{"front", "back"}',
+        plugin=None,
     )
     footprint: str | float = setting(
         "full",
@@ -263,7 +264,6 @@ class MeasurementSettings:
         "units.",
         group=LIGHT,
         metavar="full|point|R",
-        plugin=INTEGRATOR,
     )
     divergence: float = setting(
         0.0,
@@ -273,7 +273,6 @@ class MeasurementSettings:
         "is filled uniformly in solid angle.",
         group=LIGHT,
         metavar="DEG",
-        plugin=INTEGRATOR,
     )
     incident: Subdivision | None = setting(
         None,
@@ -286,7 +285,6 @@ class MeasurementSettings:
         group=LIGHT,
         metavar="klems|KIND:NTxNP",
         form="str or Subdivision",
-        plugin=INTEGRATOR,
         text=lambda value: "none" if value is None else str(value),
         shown_default="none",
     )
@@ -300,7 +298,6 @@ class MeasurementSettings:
         group=LIGHT,
         metavar="E",
         form='{"radiometric", "equal_power"}',
-        plugin=INTEGRATOR,
     )
     wavelengths: tuple[float, ...] = setting(
         (550.0,),
@@ -310,7 +307,6 @@ class MeasurementSettings:
         "specimen and emitter must cover them.",
         group=LIGHT,
         metavar="NM",
-        plugin=INTEGRATOR,
         text=joined,
         shown_default="550",
     )
@@ -365,7 +361,6 @@ class MeasurementSettings:
         Kind.COUNT,
         "Number of surface events after which a ray is truncated.",
         group=EVENTS,
-        plugin=INTEGRATOR,
     )
     max_scatterings: int = setting(
         10**7,
@@ -373,7 +368,6 @@ class MeasurementSettings:
         Kind.COUNT,
         "Number of scattering events in media after which a ray is truncated.",
         group=EVENTS,
-        plugin=INTEGRATOR,
         shown_default="1e7",
     )
     rr_depth: int = setting(
@@ -384,7 +378,6 @@ class MeasurementSettings:
         "estimator; -1 for never. In media, -1 lets a ray whose weight is below 1/16 "
         "survive with probability 1/4 and four times the weight.",
         group=EVENTS,
-        plugin=INTEGRATOR,
     )
     period: Period = setting(
         "none",
@@ -398,7 +391,6 @@ class MeasurementSettings:
         group=EVENTS,
         metavar="box|PX,PY",
         form='{"none", "box"}, float or (float, float)',
-        plugin=INTEGRATOR,
         text=joined,
     )
     order: Order = setting(
@@ -413,7 +405,6 @@ class MeasurementSettings:
         group=EVENTS,
         metavar="N|N+",
         form="int or str",
-        plugin=INTEGRATOR,
         text=str,
         shown_default="all",
     )
@@ -423,7 +414,6 @@ class MeasurementSettings:
         Kind.FLAG,
         "Trace rays even where a flat specimen does not need it.",
         group=EVENTS,
-        plugin=INTEGRATOR,
         shown_default="false",
     )
 

@@ -116,8 +116,15 @@ class Beam:
             self.wi = mi.Vector3f(in_memory(self.direction))
         if self.divergence:
             self._check_divergence()
-        patches = self.incident
-        self._patch = () if patches is None else self._incident_patch(patches)
+        self._patch: tuple[float, ...] = ()
+        if self.incident is not None:
+            if not self.collimated:
+                raise SpecimenError(
+                    "incident must be none for light that is not collimated, got "
+                    f"{self.incident!s:.40}"
+                )
+            patch = int(self.incident.patch(self.direction))
+            self._patch = self.incident.frame_of(patch)
         self._frame = in_memory(self._patch)
 
     @property
@@ -210,15 +217,6 @@ class Beam:
         sin, cos = dr.sincos(2 * dr.pi * sample.y)
         local = mi.Vector3f(sine * cos, sine * sin, 1 - height)
         return dr.normalize(mi.Frame3f(self.wi).to_world(local))
-
-    def _incident_patch(self, patches: Subdivision) -> tuple[float, ...]:
-        """Patch that holds the nominal direction, for :meth:`_filling`."""
-        if not self.collimated:
-            raise SpecimenError(
-                "incident must be none for light that is not collimated, got "
-                f"{patches!s:.40}"
-            )
-        return patches.frame_of(int(patches.patch(self.direction)))
 
     def _filling(self, sample: mi.Point2f) -> mi.Vector3f:
         """Directions that fill a patch, uniformly in projected solid angle."""

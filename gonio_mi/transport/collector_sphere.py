@@ -10,6 +10,7 @@ import mitsuba as mi
 
 from ..array_types import Floats, Numbers
 from ..collector import Subdivision
+from ..collector.hemisphere import SHARED_NAMES
 
 
 def _count_below(edges: Floats, x: mi.Float) -> mi.Float:
@@ -26,13 +27,11 @@ def _take(table: Numbers, index: mi.Float) -> mi.Float:
     return dr.gather(mi.Float, mi.Float(table), mi.UInt32(index))
 
 
-# Functions that Dr.Jit names as NumPy does.
-SHARED_NAMES = ("sqrt", "sin", "cos", "atan2", "floor", "ceil", "minimum")
-
 # Dr.Jit's array functions under the names that subdivisions call: see
 # gonio_mi.collector.Subdivision.patch_index.
 DRJIT = SimpleNamespace(
     **{name: getattr(dr, name) for name in SHARED_NAMES},
+    atan2=dr.atan2,
     where=dr.select,
     count_below=_count_below,
     take=_take,

@@ -21,7 +21,7 @@ import mitsuba as mi
 from ..mitsuba_names import PARTIALS
 from ..results.tally import Fate
 from .beam import Beam
-from .exits import Exits, exits_of
+from .exits import exits_of
 from .layers import Layers
 from .media import differ_by_channel
 from .rays import (
@@ -383,7 +383,12 @@ def trace_inside(
                 left /= _mean(chance)
             if dr.hint(apart and counted, mode="scalar"):
                 left = whole_number(left, sampler.next_1d(), sampler.next_1d())
-            relay.arrive(which, _exits(path, flight, left, fate, incident, scatterings))
+            none = (fate == mi.UInt32(Fate.REFLECTED)) & ~dr.any(left > 0)
+            last = dr.select(none, mi.UInt32(Fate.ABSORBED_INSIDE), fate)
+            sides = path.by_a_side(flight)
+            relay.arrive(
+                which, exits_of(flight, sides, left, last, incident, scatterings)
+            )
 
 
 def _turned(
@@ -404,21 +409,6 @@ def _faint(power: mi.Spectrum, due: mi.Bool) -> mi.Float:
     """Chance of faint rays to survive where it is `due`, without Russian roulette."""
     faint = due & (dr.max(power) < FAINT_POWER)
     return dr.select(faint, mi.Float(FAINT_SURVIVAL), mi.Float(1))
-
-
-def _exits(
-    path: Geometry | Layers,
-    flight: Any,
-    left: mi.Spectrum,
-    fate: mi.UInt32,
-    incident: mi.Spectrum,
-    scatterings: mi.UInt32,
-) -> Exits:
-    """Exits of rays that have ended, with the power that is `left`."""
-    none = (fate == mi.UInt32(Fate.REFLECTED)) & ~dr.any(left > 0)
-    fate = dr.select(none, mi.UInt32(Fate.ABSORBED_INSIDE), fate)
-    by_a_side = path.by_a_side(flight)
-    return exits_of(flight, by_a_side, left, fate, incident, scatterings)
 
 
 def _mean(spectrum: mi.Spectrum) -> mi.Float:

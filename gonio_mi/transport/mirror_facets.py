@@ -158,10 +158,7 @@ class MirrorFacets:
 
     @dr.syntax
     def along(
-        self,
-        ray: mi.Ray3f,
-        active: mi.Bool,
-        take: Callable[[mi.UInt32, mi.Bool], None],
+        self, ray: mi.Ray3f, active: mi.Bool, take: Callable[[mi.UInt32, mi.Bool], None]
     ) -> None:
         """Call `take` with the numbers of the facets that lines enter, one by one.
 

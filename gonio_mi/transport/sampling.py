@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -206,7 +207,7 @@ def _set_size(sampler: mi.Sampler, n: int) -> None:
 def _seeds(keys: Sequence[tuple[int, ...]]) -> Numbers:
     """32-bit seed of each tuple, well mixed; all have the same length.
 
-    Each is that of NumPy's `SeedSequence`, which takes 10 microseconds for one.
+    Each is that of NumPy's `SeedSequence`, which takes ten times as long one by one.
     """
     n_words = max(1, -(-max(map(max, keys)).bit_length() // 32))
     numbers = np.array(keys, np.uint64 if n_words <= 2 else object)
@@ -222,18 +223,13 @@ def _seeds(keys: Sequence[tuple[int, ...]]) -> Numbers:
 
 def _mixed(words: Numbers) -> Numbers:
     """Seeds from so many words each, by the function `seed_seq_fe` of O'Neill 2015."""
-    pool: Numbers = np.zeros((4, words.shape[1]), np.uint32)
-    pool[: len(words)] = words[:4]
-    further = words[4:].astype(np.uint32)
-    powers = (pow(0x931E8875, i, 2**32) for i in range(17 + 4 * len(further)))
-    factors = np.array([0x43B0D7E5 * x % 2**32 for x in powers], np.uint32)[:, None]
-    used = 0
+    factor = 0x43B0D7E5
 
-    def hashed(x: Numbers, n: int) -> Numbers:
-        """`n` hashes, of a word or of one each."""
-        nonlocal used
-        x = (x ^ factors[used : used + n]) * factors[used + 1 : used + n + 1]
-        used += n
+    def hashed(x: Numbers) -> Numbers:
+        nonlocal factor
+        x = x ^ np.uint32(factor)
+        factor = factor * 0x931E8875 % 2**32
+        x = x * np.uint32(factor)
         return x ^ (x >> 16)
 
     def mixed(x: Numbers, y: Numbers) -> Numbers:
@@ -241,11 +237,12 @@ def _mixed(words: Numbers) -> Numbers:
         z: Numbers = x * np.uint32(0xCA01F9DD) - y * np.uint32(0x4973F715)
         return z ^ (z >> 16)
 
-    pool = hashed(pool, 4)
-    for i in range(4):
-        others = [j for j in range(4) if j != i]
-        pool[others] = mixed(pool[others], hashed(pool[i], 3))
-    for word in further:
-        pool = mixed(pool, hashed(word, 4))
+    words = words.astype(np.uint32)
+    first = [*words[:4], *np.zeros((4, words.shape[1]), np.uint32)][:4]
+    pool = [hashed(word) for word in first]
+    for i, j in itertools.permutations(range(4), 2):
+        pool[j] = mixed(pool[j], hashed(pool[i]))
+    for word in words[4:]:
+        pool = [mixed(one, hashed(word)) for one in pool]
     seed: Numbers = (pool[0] ^ 0x8B51F9DD) * np.uint32(0x8B51F9DD * 0x58F38DED % 2**32)
     return seed ^ (seed >> 16)

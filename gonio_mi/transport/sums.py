@@ -11,6 +11,7 @@ own.
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Any
 
@@ -344,6 +345,7 @@ class Sums:
         return Totals(self, rays, Exact(numbers), incident, elements)
 
 
+@dataclass(frozen=True, eq=False)
 class Totals:
     """What one or more launches have summed up, exactly; totals of launches add.
 
@@ -358,42 +360,33 @@ class Totals:
         the specimen carried the power 1.
     elements : Exact, shape (n_classes, n_batches, n_collected, 15, channels), or None
         Those of Mueller matrices but the first, in polarised variants.
-
-    Attributes
-    ----------
-    started : float
-        When the kernel of that launch began to run, by ``time.perf_counter``.
     """
 
-    def __init__(
-        self,
-        sums: Sums,
-        rays: Integers,
-        flux: Exact,
-        incident: Exact | None,
-        elements: Exact | None,
-    ) -> None:
-        self._sums, self._rays, self._flux, self._incident = sums, rays, flux, incident
-        self._elements = elements
-        self.started = sums.started
+    sums: Sums
+    rays: Integers
+    flux: Exact
+    incident: Exact | None
+    elements: Exact | None
+
+    @property
+    def started(self) -> float:
+        """When the kernel of that launch began to run, by ``time.perf_counter``."""
+        return self.sums.started
 
     def __add__(self, other: Totals) -> Totals:
-        incident: Any = self._incident
-        if incident is not None:
-            incident = incident + other._incident
-        elements: Any = self._elements
-        if elements is not None:
-            elements = elements + other._elements
-        rays, flux = self._rays + other._rays, self._flux + other._flux
-        return Totals(self._sums, rays, flux, incident, elements)
+        names = ("rays", "flux", "incident", "elements")
+        pairs = {name: (getattr(self, name), getattr(other, name)) for name in names}
+        return replace(
+            self, **{name: a + b for name, (a, b) in pairs.items() if a is not None}
+        )
 
     @property
     def emitted(self) -> int:
         """Rays that were counted: each once, whatever became of it."""
-        setup = self._sums.setup
-        rays = self._rays[..., : setup.n_collected + Fate.OVER_THE_EDGE]
+        setup = self.sums.setup
+        rays = self.rays[..., : setup.n_collected + Fate.OVER_THE_EDGE]
         fates = rays[..., setup.n_collected :]
-        if self._sums.deposits:
+        if self.sums.deposits:
             return int(fates.sum())
         twice = fates[..., Fate.DIRECT].sum() if setup.shape[0] == 2 else 0
         return int(rays.sum() - twice)
@@ -403,21 +396,21 @@ class Totals:
 
         Of several orders side by side; of `split` light of more events, and of one.
         """
-        setup = self._sums.setup
+        setup = self.sums.setup
         if setup.settings.estimator.splits:
-            patches = self._rays[..., : setup.n_collected]
-            fates = self._rays[..., setup.n_collected :].sum(axis=0)
+            patches = self.rays[..., : setup.n_collected]
+            fates = self.rays[..., setup.n_collected :].sum(axis=0)
             each = (
                 self._tallies(n, np.concatenate([hits, fates], axis=-1), within)
                 for hits, within in zip(patches, np.eye(2, dtype=bool))
             )
             return [Tally.of_orders(pair) for pair in zip(*each)]
         if not setup.orders:
-            return self._tallies(n, self._rays[0], np.array([True]))
+            return self._tallies(n, self.rays[0], np.array([True]))
         each = (
             self._tallies(
                 n,
-                setup.classes.rays(order, self._rays, setup.shape),
+                setup.classes.rays(order, self.rays, setup.shape),
                 setup.classes.within(order),
             )
             for order in setup.orders
@@ -426,10 +419,10 @@ class Totals:
 
     def _tallies(self, n: int, rays: Integers, within: Flags) -> list[Tally]:
         """Tallies of the rays that are kept, and of the flux of some classes."""
-        sums, setup = self._sums, self._sums.setup
+        sums, setup = self.sums, self.sums.setup
         kind = np.uint64 if sums.counted else float
         scale = 1 if sums.counted else WEIGHT_SCALE
-        power = self._flux.total(within).powers(scale).astype(kind, copy=False)
+        power = self.flux.total(within).powers(scale).astype(kind, copy=False)
         direct = power[:, setup.n_collected + Fate.DIRECT]
         power = power[:, : setup.n_collected].reshape(len(rays), *setup.shape, -1)
         hits = rays[:, : setup.n_collected].reshape(len(rays), *setup.shape)
@@ -439,14 +432,14 @@ class Totals:
         if setup.shape[0] == 2 and not sums.deposits:
             fates[:, Fate.TRANSMITTED] = hits[:, 1].sum(axis=(1, 2))
             fates[:, Fate.TRANSMITTED] -= fates[:, Fate.DIRECT]
-        if self._incident is None:
+        if self.incident is None:
             sent = fates[:, : Fate.OVER_THE_EDGE].sum(axis=1)
             met = sent - fates[:, Fate.MISSED] - fates[:, Fate.UNLIT]
             incident = np.repeat(met[:, None], sums.channels, axis=1)
             incident = (scale * incident).astype(kind)
         else:
-            every = np.ones(len(self._rays), bool)
-            incident = self._incident.total(every).powers(scale).astype(kind)
+            every = np.ones(len(self.rays), bool)
+            incident = self.incident.total(every).powers(scale).astype(kind)
         if sums.facets is not None:
             known = sums.facets.flux.reshape(*setup.shape, -1)
             power += known * incident[:, None, None, None]
@@ -462,9 +455,9 @@ class Totals:
             }
             for i in range(n)
         ]
-        if self._elements is None:
+        if self.elements is None:
             return [Tally(**one) for one in found]
-        elements = self._elements.total(within).powers(scale)
+        elements = self.elements.total(within).powers(scale)
         elements = elements.reshape(*power.shape[:-1], *elements.shape[-2:])
         return [
             PolarisedTally(**one, elements=elements[i::n])

@@ -7,7 +7,8 @@ from typing import Any
 import mitsuba as mi
 
 from gonio_mi.errors import SpecimenError
-from gonio_mi.instrument.measure import carry_out
+from gonio_mi.instrument.measure import send_all
+from gonio_mi.instrument.recording import records_of
 from gonio_mi.instrument.setup import own_settings, set_up
 from gonio_mi.results.tally import Tally
 from gonio_mi.settings import INTEGRATOR, MeasurementSettings, plugin_table
@@ -59,9 +60,9 @@ class Goniophotometer(mi.SamplingIntegrator):
         settings = MeasurementSettings().changed(**own | here)
         setups = set_up(scene, settings)
         finished: list[list[Tally]] = [[]]
-        (stack,), complete = carry_out(setups, finished)
+        (stack,) = records_of(setups, finished, send_all(setups, finished))
         sensor.film().record = stack[0]
-        if not complete:
+        if stack.provenance.interrupted:
             raise KeyboardInterrupt
         return sensor.film().develop() if develop else None
 

@@ -14,7 +14,7 @@ import pytest
 import gonio_mi as gonio
 from gonio_mi import cli
 from gonio_mi.campaigns.measure import measure_whole
-from gonio_mi.instrument import launcher, measure as measuring
+from gonio_mi.instrument import launcher, recording
 from gonio_mi.instrument.schedule import rounds
 
 pytestmark = pytest.mark.usefixtures("mono")
@@ -190,12 +190,12 @@ def test_ctrl_c_after_the_last_ray(ctrl_c, at, monkeypatch):
     """
     ctrl_c(at)
     expected = interrupted(PLASTIC, **LONG) if at else gonio.measure(PLASTIC, **LONG)
-    makes = measuring.records_of
-    monkeypatch.setattr(measuring, "records_of", interrupted_once(makes))
+    makes = recording._records
+    monkeypatch.setattr(recording, "_records", interrupted_once(makes))
     ctrl_c(at)
     part = interrupted(PLASTIC, **LONG)
     assert part.tallies == expected.tallies
-    monkeypatch.setattr(measuring, "records_of", interrupted_once(makes))
+    monkeypatch.setattr(recording, "_records", interrupted_once(makes))
     ctrl_c(at)
     with pytest.raises(KeyboardInterrupt):  # who wants a whole is not told that it is
         measure_whole(PLASTIC, **LONG)
@@ -228,8 +228,8 @@ def test_ctrl_c_while_rendering(ctrl_c, at, each, monkeypatch):
         }
     )
     if not at:
-        makes = interrupted_once(measuring.records_of)
-        monkeypatch.setattr(measuring, "records_of", makes)
+        makes = interrupted_once(recording._records)
+        monkeypatch.setattr(recording, "_records", makes)
     ctrl_c(at)
     with pytest.raises(RuntimeError) as caught:
         mi.render(scene)

@@ -1,11 +1,17 @@
 """Directions of a stack share launches, and each has the bits that it has alone."""
 
+from itertools import pairwise
+
 import mitsuba as mi
 import numpy as np
 import pytest
 
 import gonio_mi as gonio
 from gonio_mi.instrument import launcher, schedule
+from gonio_mi.instrument.loading import load_specimen
+from gonio_mi.instrument.setup import set_up
+from gonio_mi.results.tally import batch_sizes
+from gonio_mi.settings import MeasurementSettings
 
 pytestmark = pytest.mark.usefixtures("mono")
 
@@ -185,3 +191,37 @@ def test_traced_directions_share_launches(launches, monkeypatch, settings, fused
     assert launches[0] == 24
     assert len(launches) < 12
     check_alone(stack, hills, (0, 5, 11), **settings)
+
+
+@pytest.mark.parametrize(("n", "rays"), [(1, 1003), (9, 1003), (9, 2**20)])
+@pytest.mark.parametrize("shape", ["rectangle", "sphere"])
+def test_plan_sends_each_ray_of_each_batch_once(shape, n, rays, launches):
+    """Exact, and nothing is launched for it."""
+    settings = MeasurementSettings(rays=rays, batches=7, collector="projected:3x4")
+    scene = load_specimen({"type": shape}, None, None)
+    setups = set_up(scene, settings, [(5.0 * i, 0.0) for i in range(n)])
+    sends = launcher.Launcher(setups)
+    sends.size.rays = 2**10
+    part = schedule.Round(tuple(batch_sizes(rays, 7)))
+    planned = [one for (one,) in sends.plan(setups, part)]
+    keys = [key for one in planned for key in one.keys]
+    expected = [(*one.key, batch, 0) for batch in range(7) for one in setups]
+    assert keys == expected
+    for one in planned:
+        pieces = list(sends.pieces(one))
+        assert len(one.sizes) <= one.capacity
+        if shape == "rectangle":
+            sent = np.sum([piece.sizes for piece in pieces], axis=0)
+            assert sent.tolist() == list(one.sizes)
+            assert [piece.begin for piece in pieces] == [
+                sum(piece.sizes[0] for piece in pieces[:i]) for i in range(len(pieces))
+            ]
+            continue
+        # along a curve, whose stretches follow each other without a gap
+        for piece, after in pairwise(pieces):
+            ends = piece.stretch[1], piece.begin + piece.sizes[0]
+            assert after.stretch[0] in (ends[0], 0)
+            assert after.stretch[0] or after.begin == ends[1]
+    sizes = [size for one in planned for size in one.sizes]
+    assert sizes == [size for size in part.sizes for _ in setups]
+    assert launches == []
