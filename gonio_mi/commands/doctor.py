@@ -7,7 +7,7 @@ missing, print the line that fixes it.
 import platform
 from argparse import ArgumentParser, Namespace
 from importlib import metadata
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -117,8 +117,8 @@ def _self_test() -> Row:
 def _measure_white() -> Record:
     """Record of counted independent rays on a white Lambertian plate."""
     plate = {"type": "diffuse", "reflectance": 1.0}
-    method = {"estimator": "analog", "sampler": "independent", "seed": 0}
-    where = {"theta_i": 45, "phi_i": 0, "collector": "projected:10x10"}
+    method: Any = {"estimator": "analog", "sampler": "independent", "seed": 0}
+    where: Any = {"theta_i": 45, "phi_i": 0, "collector": "projected:10x10"}
     return measure_whole(plate, rays=SELF_TEST_RAYS, **where, **method)
 
 

@@ -142,7 +142,7 @@ def bsdf(
 
 def _warn_unless_isotropic(specimen: SpecimenLike, settings: dict[str, Any]) -> None:
     """Warn of a specimen that scatters differently turned by 45 or 90 degrees."""
-    asked = {"rays": TRIAL_RAYS, "rel_err": None, "noise": None}
+    asked: Any = {"rays": TRIAL_RAYS, "rel_err": None, "noise": None}
     asked |= {"collector": TRIAL_PATCHES}
     n = TRIAL_PATCHES.shape[1]
     for side in ("front", "back"):

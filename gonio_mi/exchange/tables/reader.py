@@ -169,9 +169,9 @@ class _Reading:
         self._check_ranges(columns, quantity)
         if self.channel is not None:
             self.settings.setdefault("channel", self.channel)
-        told = {"header": self.header, "name": self.place, "notes": tuple(self.notes)}
+        told: dict[str, Any] = {"header": self.header, "notes": tuple(self.notes)}
         try:
-            return MeasuredTable(**columns, **self.settings, **told)
+            return MeasuredTable(**columns, **self.settings, **told, name=self.place)
         except ValueError as error:
             raise FileFormatError(f"{self.place}: {error}") from None
 
