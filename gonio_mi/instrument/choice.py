@@ -15,6 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import SpecimenError
+from ..results.estimates import MIN_EVEN_HITS, SampledEstimates
 from ..results.planning import lobe
 from ..results.tally import Tally
 from ..settings.measurement_settings import MAX_POINTS, Estimator, MeasurementSettings
@@ -121,15 +122,20 @@ def _traced(
     if points == 1 and not by_facets:  # nobody asked for more
         points = min(settings.collector.n_patches, MAX_POINTS)
     cost = 1.0 if by_facets else 1 + POINT_COST * points
+    short = FACET_RAYS if by_facets else PILOT_RAYS
     deposits = replace(settings, estimator=Estimator.NEXT_EVENT, points=points)
-    if settings.rel_err is None and settings.noise is None:
+    by_rays = settings.rel_err is None and settings.noise is None
+    if by_rays:
         deposits = replace(deposits, rays=max(round(settings.rays / cost), 1))
         if deposits.rays < MIN_RAYS * settings.batches:
             return usual, "weighted, for the rays are few"
-    short = FACET_RAYS if by_facets else PILOT_RAYS
-    error = _error(tried, usual, round(short * cost))
+    sent = _short_run(tried, usual, round(short * cost))
+    error = _error(settings, sent)
+    if by_rays and not by_facets and _hides_bright_places(settings, deposits, sent):
+        return usual, "weighted, for next_event may overlook rare bright places"
     # of independent rays: the same error for the square of that in rays
-    ratio = (_error(tried, deposits, short) / error) ** 2 if error else np.inf
+    other = _error(settings, _short_run(tried, deposits, short))
+    ratio = (other / error) ** 2 if error else np.inf
     part = f"about {ratio:.1g} of the CPU time of weighted, by short runs"
     how = "its first order from facets" if by_facets else f"{points} points"
     if not ratio <= MAX_RATIO:
@@ -137,21 +143,42 @@ def _traced(
     return deposits, f"next_event, {how}, needs {part}"
 
 
-def _error(
+def _short_run(
     tried: Callable[[MeasurementSettings], Setup],
     settings: MeasurementSettings,
     each: int,
-) -> float:
-    """Scatter between short batches of so many rays: of the worst patch, or of all.
-
-    Relative to itself for `rel_err`; else the sum over patches, as of `noise`.
-    """
+) -> Tally:
+    """Short batches of so many rays."""
     short: dict[str, Any] = {"rel_err": None, "noise": None, "seed": PILOT_SEED}
     short |= {"rays": each * PILOT_BATCHES, "batches": PILOT_BATCHES}
     setup = tried(replace(settings, **short))
     sent = Launcher([setup]).tallies([setup], Round((each,) * PILOT_BATCHES))
-    sums = Tally.join([tally for (tally,) in sent]).sums / each
-    mean, scatter = sums.mean(axis=0), sums.std(axis=0, ddof=1)
+    return Tally.join([tally for (tally,) in sent])
+
+
+def _hides_bright_places(
+    settings: MeasurementSettings, deposits: MeasurementSettings, sent: Tally
+) -> bool:
+    """Whether few rays of `deposits` meet what makes those of `weighted` scatter.
+
+    Or one of them, by chance met or not, is more than the error of `weighted`.
+    """
+    rays = SampledEstimates(sent, independent=False)
+    part = deposits.rays / rays.rays
+    hemispheres = range(len(sent.hits))
+    if any(np.any(rays.n_heavy(i) * part < MIN_EVEN_HITS) for i in hemispheres):
+        return True
+    scatter = [np.nansum(rays.noise(i)) for i in hemispheres]
+    return 1 / deposits.rays > sum(scatter) * np.sqrt(rays.rays / settings.rays)
+
+
+def _error(settings: MeasurementSettings, sent: Tally) -> float:
+    """Scatter between short batches: of the worst patch, or of all.
+
+    Relative to itself for `rel_err`; else the sum over patches, as of `noise`.
+    """
+    fractions = sent.sums / sent.incident[:, None, None, None]
+    mean, scatter = fractions.mean(axis=0), fractions.std(axis=0, ddof=1)
     if settings.rel_err is None:
         return float(scatter.sum())
     solid = settings.collector.projected_solid_angles

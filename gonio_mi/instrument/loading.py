@@ -7,7 +7,6 @@ import linecache
 import os
 import re
 import sys
-import warnings
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from os import PathLike
@@ -38,7 +37,6 @@ from ..transport.variants import check_variant, is_parallel
 from .specimen_text import (
     CALLED,
     SpecimenLike,
-    is_word,
     parse_specimen,
     with_real_indices,
 )
@@ -51,17 +49,12 @@ UNUSED = re.compile(r'Found \d+ unreferenced \w+ in \w+ plugin of type "([^"]+)"
 NAMED = re.compile(r'- \w+ "([^"]+)"')
 PLUGINS = (".so", ".dylib", ".dll", ".py")
 
-# Parameters whose names compilers put into the code of plugins, out of sight.
-INLINED = {"ext_ior", "flip_normals", "int_ior", "k"}
 
 # Plugins that end the process without a property: what they need, and by which names.
 NEEDS: dict[str, tuple[str, set[str]]] = {
     "blendbsdf": ("a weight and two nested BSDFs", set()),
     "bitmap": ("a filename or a bitmap", {"filename", "bitmap", "data"}),
 }
-
-# Loads at most, to find the parameters of a plugin: roughplastic needs 45.
-MAX_TRIALS = 64
 
 # Words for what Mitsuba knows by its symbol.
 METALS = {
@@ -204,13 +197,13 @@ def loaded(what: str, load: Callable[..., Any], *args: Any, **kwargs: Any) -> An
             raise KeyboardInterrupt from None
         if tells_of_our_bug(error):
             raise  # a bug of ours in a plugin
-        text = _with_advice(_one_line(error), args)
+        text = _with_advice(_one_line(error))
         raise SpecimenError(
             f"{what} cannot be loaded: {text}{own_place(error)}"
         ) from error
 
 
-def _with_advice(text: str, loaded_from: Any) -> str:
+def _with_advice(text: str) -> str:
     """Mitsuba's message with what would mend it, where that is known."""
     if missing := re.search(r'Plugin "([^"]+)" not found', text):
         own = "; one of your own is imported before, or named by --plugin FILE"
@@ -223,15 +216,12 @@ def _with_advice(text: str, loaded_from: Any) -> str:
         return _no_metal(metal[1])
     if unused := UNUSED.search(text):
         plugin, names = unused[1], NAMED.findall(unused[2])
-        known = _parameters(plugin, loaded_from)
-        has = f"; it takes {', '.join(known)}" if known else ""
-        similar = [did_you_mean(name, known) for name in names]
+        similar = [did_you_mean(name, _words(plugin)) for name in names]
         # in quotes where spaces would go unseen
         words = [name if name == name.strip() else shown(name) for name in names]
         return (
             f"{text[: unused.start()]}the plugin {plugin} has no use for "
-            f"{', '.join(words)}"
-            f"{has}{next(filter(None, similar), '')}"
+            f"{', '.join(words)}{next(filter(None, similar), '')}"
         )
     return text
 
@@ -253,63 +243,13 @@ def _plugin_files() -> dict[str, Path]:
     return {path.stem: path for path in files if path.suffix in PLUGINS}
 
 
-def _parameters(plugin: str, loaded_from: Any) -> list[str]:
-    """Parameters of a plugin of Mitsuba's own or of ours; none if they are not known.
-
-    Those words of its file that it does not leave unread when it is loaded with them.
-    A plugin that was given a file, an array or another plugin is not tried: it may be
-    large, and without them it may end the process.
-    """
+def _words(plugin: str) -> set[str]:
+    """Words in the file of a plugin, which are its parameters and others."""
     path = _plugin_files().get(plugin)
-    node = _node(plugin, loaded_from)
-    if path is None or node is None or "filename" in node:
-        return []
-    if not all(map(is_word, node.values())) or _unread(plugin, ()) != set():
-        return []
+    if path is None:
+        return set()
     word = rb"\b[a-z]\w{2,}\b" if path.suffix == ".py" else rb"(?<=\0)[a-z]\w{2,}(?=\0)"
-    found = {one.decode() for one in re.findall(word, path.read_bytes())} | INLINED
-    return sorted(_read(plugin, sorted(found - {"type"})))
-
-
-def _node(plugin: str, within: Any) -> dict[str, Any] | None:
-    """The first dictionary of a plugin."""
-    if isinstance(within, dict) and within.get("type") == plugin:
-        return within
-    parts = within.values() if isinstance(within, dict) else within
-    nested = (_node(plugin, one) for one in parts if isinstance(one, dict))
-    return next(filter(None, nested), None)
-
-
-def _read(plugin: str, words: Sequence[str]) -> set[str]:
-    """Those of `words` that a plugin reads, whatever it then says of their value.
-
-    None of them if it takes more than `MAX_TRIALS` to tell.
-    """
-    read: set[str] = set()
-    waiting = [words]
-    for _ in range(MAX_TRIALS):
-        if not waiting:
-            return read
-        words = waiting.pop()
-        unread = _unread(plugin, words)
-        if unread is not None or len(words) == 1:
-            read |= {*words} - (unread or set())
-        else:
-            half = len(words) // 2
-            waiting += [words[:half], words[half:]]
-    return set() if waiting else read
-
-
-def _unread(plugin: str, words: Sequence[str]) -> set[str] | None:
-    """Parameters that a plugin leaves unread; None if it cannot be loaded."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            mi.load_dict({"type": plugin} | dict.fromkeys(words, 0))
-    except Exception as error:  # of whatever plugin
-        unused = UNUSED.search(_one_line(error))
-        return {*NAMED.findall(unused[2])} if unused else None
-    return set()
+    return {one.decode() for one in re.findall(word, path.read_bytes())}
 
 
 def with_own_tensors(node: Any) -> Any:

@@ -128,7 +128,7 @@ def specimen_name(
     else:
         name = specimen.class_name()
     words = [
-        f"{key}={_word(value)}" for key, value in settings.items() if is_word(value)
+        f"{key}={_word(value)}" for key, value in settings.items() if _is_word(value)
     ]
     return f"{name}:{','.join(words)}" if words else name
 
@@ -142,7 +142,7 @@ def _only_mesh(specimen: SpecimenLike) -> dict[str, Any] | None:
     return parts[0] if alone else None
 
 
-def is_word(value: Any) -> bool:
+def _is_word(value: Any) -> bool:
     """Whether a value of a dictionary can be written in a word."""
     return isinstance(value, (int, float, str)) or _is_colour(value)
 

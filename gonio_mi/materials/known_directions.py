@@ -135,11 +135,13 @@ class KnownDirections:
         incidents: Iterable[tuple[float, float]],
         purpose: str,
         noise: float = NOISE,
+        seed: int | None = None,
     ) -> None:
         """Measure the directions that are not known yet, or not as precisely.
 
         `purpose` stands beside the progress bar; `noise` is the total variation
-        distance that it may make where directions are sampled, over the tolerance.
+        distance that it may make where directions are sampled, over the tolerance;
+        `seed` is that of points of the surface that the others do not share.
 
         Raises
         ------
@@ -147,7 +149,9 @@ class KnownDirections:
             If a direction refuses the estimator, and none was asked for.
         """
         goal = noise * self.tolerance
-        new = sorted(one for one in set(incidents) if self._lacks(one, goal))
+        # not known, or sampled and not as precise
+        found = ((one, self.records.get(one)) for one in set(incidents))
+        new = sorted(i for i, r in found if r is None or (r.asked.noise or 0.0) > goal)
         if not new:
             return
         started = time.perf_counter()
@@ -155,18 +159,16 @@ class KnownDirections:
         label = f"{abridged(self.name, 16)}, {len(self.records)} measured, {purpose}"
         logger.info("%s: %d more", label, len(new))
         part = f"{self.estimators[0]}_{self.n_rounds:03d}"
-        stack = self._kept(part, new, self.settings | self._goals(goal), label)
+        settings = self.settings | self._goals(goal)
+        if seed is not None and self.estimators[0].splits:
+            settings["seed"] = seed
+        stack = self._kept(part, new, settings, label)
         self.rays += stack.ledger.emitted
         flux = stack.flux_fraction
         self.flux += flux[:, :1].sum(), flux[:, 1:].sum()
         self.records |= zip(new, stack)
         self.n_rounds, self.n_timed = self.n_rounds + 1, self.n_timed + len(new)
         self.seconds += time.perf_counter() - started
-
-    def _lacks(self, incident: tuple[float, float], noise: float) -> bool:
-        """Whether a direction is not known, or is sampled and not as precise."""
-        record = self.records.get(incident)
-        return record is None or (record.asked.noise or 0.0) > noise
 
     def _kept(
         self,

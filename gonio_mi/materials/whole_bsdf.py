@@ -294,7 +294,7 @@ class WholeBsdf:
         found: dict[tuple[float, float], PredictionError] = {}
         left = unseen
         for noise in (NOISE, TESTING, CONFIRMING):
-            self.directions.measure(left, purpose, noise)
+            self.directions.measure(left, purpose, noise, self.seed + 1)
             found |= {one: self.directions.error(prediction, *one) for one in left}
             if self.directions.estimators[0].integrates:
                 break

@@ -224,6 +224,18 @@ class SampledEstimates(Estimates):
         value, scatter = self.fraction(hemisphere), self._scatter(hemisphere)
         return self._rare(value, scatter, hits, self._heavy(hemisphere))
 
+    def n_heavy(self, hemisphere: int) -> Floats:
+        """How many of the hits make patches scatter, shape ``(channels,)``.
+
+        Infinite where they are not much heavier than the mean one.
+        """
+        heavy, hits = self._heavy(hemisphere), self.tally.hits[hemisphere].sum()
+        square = np.nansum(self._scatter(hemisphere) ** 2, axis=(0, 1))
+        alone = heavy * hits > MIN_WEIGHT_RATIO * self.total(hemisphere)
+        return np.divide(
+            square, heavy**2, out=np.full(heavy.shape, np.inf), where=alone
+        )
+
     def _rare(
         self, value: Floats, scatter: Floats, hits: Counts | int, heavy: Floats
     ) -> Flags:
@@ -410,7 +422,7 @@ class ControlledEstimates(SampledEstimates):
 
     @property
     def _one(self) -> float:
-        """Power of a hit over that of all rays: that of a ray."""
+        """Power of a hit of a patch over that of all rays: that of a ray."""
         return 1 / self.rays
 
     @property
@@ -435,24 +447,23 @@ class ControlledEstimates(SampledEstimates):
         return np.hypot(self._scatter(hemisphere), self._one)
 
     def total_std_err(self, hemisphere: int) -> Floats:
-        """Standard error of :meth:`total`, with that of one more hit."""
-        return np.hypot(super().total_std_err(hemisphere), self._one)
+        """Standard error of :meth:`total`, with that of one more ray."""
+        return np.hypot(super().total_std_err(hemisphere), 1 / self.rays)
 
     def interval(self, hemisphere: int, level: float) -> tuple[Floats, Floats]:
         """Limits of :meth:`fraction`."""
         value = super().fraction(hemisphere)
-        return self._changed(value, self._scatter(hemisphere), level)
+        return self._changed(value, self._scatter(hemisphere), self._one, level)
 
     def total_interval(self, hemisphere: int, level: float) -> tuple[Floats, Floats]:
         """Limits of :meth:`total`."""
         scatter = super().total_std_err(hemisphere)
-        return self._changed(self.total(hemisphere), scatter, level)
+        return self._changed(self.total(hemisphere), scatter, 1 / self.rays, level)
 
     def _changed(
-        self, value: Floats, scatter: Floats, level: float
+        self, value: Floats, scatter: Floats, one: float, level: float
     ) -> tuple[Floats, Floats]:
         """Interval by Student's t, or of a Poisson count of hits if that is wider."""
-        one = self._one
         counted = scatter**2 / one
         high = statistics.gamma_interval(counted, scatter, one, level)[1]
         least = np.fmax(high - counted, ROUNDING * value)
@@ -467,7 +478,8 @@ class SplitEstimates(ControlledEstimates):
     """Estimates where points of the surface tell the first order, in batches too.
 
     Most patches receive few branches, or none, which their own scatter does not show;
-    their intervals therefore allow for one more branch.
+    their intervals therefore allow for one more branch, and those of totals for one
+    more ray: what no point met is bright, but rarer than one in all rays.
     """
 
     @property

@@ -345,8 +345,8 @@ class MeasuredValues:
         Where the first order is known without rays, a sum over mirror facets
         (`transport` of the provenance ``facets``) or over points of the surface
         (`split`, which count as hits), the interval is at least that of a Poisson
-        count of as many rays of weight 1, or branches of a 16th of it, as explain the
-        scatter, of which one more may have been missed.
+        count of as many rays of weight 1, or in patches branches of a 16th of it, as
+        explain the scatter, of which one more may have been missed.
 
         Integrals (estimator `quadrature`) may be wrong by their error, the largest that
         they are estimated to have, at any `level`; Student's t for delta components,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import hashlib
 import inspect
 import linecache
@@ -10,9 +9,8 @@ import os
 import re
 import sys
 import weakref
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from importlib.machinery import PathFinder
 from importlib.util import decode_source
 from os import PathLike
 from pathlib import Path
@@ -33,6 +31,7 @@ LENGTH = 16
 ADDRESS = re.compile(r"\b0x[0-9a-fA-F]+")
 # Of a mesh that is no emitter, only once it was asked for.
 AREA = re.compile(r"\n *surface_area = .*")
+IMPORT = re.compile(r"^[ \t]*(?:from|import)\b.*", re.MULTILINE)
 FILE = re.compile(r'filename ?= ?"?([^",\]\n]+)')
 
 
@@ -160,10 +159,10 @@ _known: weakref.WeakKeyDictionary[type, frozenset[str]] = weakref.WeakKeyDiction
 def plugins_digest(things: Iterable[mi.Object]) -> str | None:
     """Digest of the plugins in Python among objects of a scene and what they hold.
 
-    Of the files that define their classes and of the local files that these import by
-    an import statement, as they were when a class was first met; for a class of a
-    script or a notebook of the texts of its methods and its plain values. What is not
-    seen: modules imported under computed names, data files, and a module that was
+    Of the files that define their classes and of the local files and packages that
+    import statements name there, as they were when a class was first met; for a class
+    of a script or a notebook of the texts of its methods and its plain values. What is
+    not seen: modules imported under computed names, data files, and a module that was
     edited after it was imported.
 
     Parameters
@@ -185,7 +184,7 @@ def plugins_digest(things: Iterable[mi.Object]) -> str | None:
 
 
 def file_digest(path: str | PathLike[str]) -> str:
-    """Digest of a Python file and of the local files that it imports."""
+    """Digest of a Python file and of the local files that it names to import."""
     path = Path(path)
     text = decode_source(path.read_bytes())
     return _text_digest({text, *_imported(text, path)})
@@ -227,12 +226,15 @@ def _functions(kind: type) -> Iterator[tuple[str, FunctionType]]:
 
 
 def _imported(text: str, path: Path) -> Iterator[str]:
-    """Texts of the local files that a Python text imports, directly or not."""
-    todo, seen = [(text, path)], {path.resolve()}
+    """Texts of the local files and packages that import statements name."""
+    todo, seen = [(text, path.resolve())], {path.resolve()}
     while todo:
         text, path = todo.pop()
-        for name, folder in _imports(text, path):
-            for found in _files(name, folder):
+        folders = [path.parent, *(Path(one).resolve() for one in sys.path)]
+        folders += path.parents[1:2]  # of a package, whose modules are named by dots
+        words = re.findall(r"[\w.]+", " ".join(IMPORT.findall(text)))
+        for name in sorted({word.strip(".") for word in words} - {""}):
+            for found in _files(name.split("."), folders):
                 if found not in seen and not is_installed(found):
                     seen.add(found)
                     content = found.read_text("utf-8", errors="replace")
@@ -240,33 +242,13 @@ def _imported(text: str, path: Path) -> Iterator[str]:
                     yield content
 
 
-def _imports(text: str, path: Path) -> Iterator[tuple[str, list[str]]]:
-    """Dotted names that a text imports, and where to look for the first of them."""
-    try:
-        tree = ast.parse(text)
-    except (SyntaxError, ValueError):
-        return
-    anywhere = [str(path.resolve().parent), *sys.path]
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            yield from ((alias.name, anywhere) for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            folder = [str(path.parents[node.level - 1])] if node.level else anywhere
-            module = [node.module] if node.module else []
-            for alias in node.names:
-                yield ".".join([*module, alias.name]), folder
-
-
-def _files(name: str, folder: list[str]) -> Iterator[Path]:
-    """Files of a module and of the packages it is in; of as many as there are."""
-    first, _, rest = name.partition(".")
-    try:
-        spec = PathFinder.find_spec(first, folder)
-    except (ImportError, ValueError):
-        return
-    if spec is None:
-        return
-    if spec.origin and spec.origin.endswith(".py"):
-        yield Path(spec.origin).resolve()
-    if rest and spec.submodule_search_locations:
-        yield from _files(rest, list(spec.submodule_search_locations))
+def _files(parts: Sequence[str], folders: Iterable[Path]) -> list[Path]:
+    """Files of a module and of the packages it is in, in the first folder with any."""
+    for folder in folders:
+        places = [folder.joinpath(*parts[: i + 1]) for i in range(len(parts))]
+        if not is_installed(places[0]):
+            files = [file for place in places for file in place.glob("*.py")]
+            files += [place.with_name(f"{place.name}.py") for place in places]
+            if found := [file.resolve() for file in files if file.is_file()]:
+                return sorted(found)
+    return []

@@ -190,6 +190,11 @@ class _Rays:
         again = active & (exits.fate == mi.UInt32(Fate.TRUNCATED))
         ended = of_order(exits, setup.order)
         self.sums.add(setup.bins(ended), ended, active & ~again, self.batch)
+        bins = setup.bins(exits)  # of light of one event, to be compared with points
+        first = active & ~again & (bins < setup.n_collected)
+        self.sums.deposit(
+            bins, exits.throughput, first, self.batch + self.sums.capacity
+        )
         state = flight.ray.o, flight.ray.d, flight.n, flight.offset
         own, none = (self.batch, sampler.index, sampler.key), dr.zeros_like(exits.fate)
         batch, index, key = (mi.UInt32(x) + none for x in own)

@@ -136,7 +136,10 @@ class Setup:
 
     def collect_orders(self, orders: Sequence[Order]) -> None:
         """Let each of the scattering orders have patches and fates of its own."""
-        self.orders, self.classes = tuple(orders), OrderClasses(orders)
+        self.orders = tuple(orders)
+        if self.settings.estimator.splits:
+            orders = (self.order,)  # apart from light of one event
+        self.classes = OrderClasses(orders)
 
     def _patch(self, exits: Exits, d: mi.Vector3f) -> mi.UInt32:
         """Number of the patch of light that arrives in the direction `d`."""

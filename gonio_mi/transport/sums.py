@@ -394,9 +394,17 @@ class Totals:
     def tallies(self, n: int) -> list[Tally]:
         """:class:`Tally` of each of `n` beams, whose batches take turns.
 
-        Of several orders side by side.
+        Of several orders side by side; of `split` light of more events, and of one.
         """
         setup = self.sums.setup
+        if setup.settings.estimator.splits:
+            patches = self.rays[..., : setup.n_collected]
+            fates = self.rays[..., setup.n_collected :].sum(axis=0)
+            each = (
+                self._tallies(n, np.concatenate([hits, fates], axis=-1), within)
+                for hits, within in zip(patches, np.eye(2, dtype=bool))
+            )
+            return [Tally.of_orders(pair) for pair in zip(*each)]
         if not setup.orders:
             return self._tallies(n, self.rays[0], np.array([True]))
         each = (

@@ -20,8 +20,10 @@ import numpy as np
 from ..array_types import Floats
 from ..errors import LABEL, SpecimenError, abridged
 from ..mitsuba_names import PARTIALS
-from ..results.statistics import student_score
+from ..results.estimates import MIN_EVEN_HITS, SampledEstimates
+from ..results.statistics import student_interval, student_score
 from ..results.tally import Fate, Tally
+from ..settings.measurement_settings import BRANCHES
 from .polarisation import n_channels
 from .rays import NEARBY, departure, escapes, intersect
 from .sampling import apart, is_joint, seeded
@@ -29,7 +31,7 @@ from .setup import Setup
 from .shapes import coincide
 from .surface_events import MAX_POWER, flux_context
 
-# Points of each batch to begin with; of a number of rays, all.
+# Points of each batch to begin with, and at least of a number of rays.
 N_FIRST, N_FIXED = 2**5, 2**7
 
 # Part of `noise` that the integral may have: rays keep sqrt(1 - 1/16), 97 % of it.
@@ -43,6 +45,9 @@ MAX_POINTS_NOISE2 = 1 / 6
 # Standard errors by which the light that meets points may be off, in either direction:
 # by chance in 2e-9 of all directions.
 MAX_SCORE = 6
+
+# Level of intervals of points and of rays that must overlap in every patch.
+AGREEMENT = 1 - 1e-8
 
 # Lanes of a launch: pairs of a point and a patch, or sums over points.
 MAX_LANES = 2**24
@@ -155,8 +160,40 @@ class SingleScattering:
                 "take weighted instead"
             )
 
+    def _check_rays(self, first: Tally) -> None:
+        """Raise SpecimenError where rays met bright places that few points know.
+
+        Or where they found light of one event (`first`) that points exclude.
+        """
+        rays, n_batches = SampledEstimates(first, independent=False), len(self.flux)
+        n_points = n_batches * self.n_points
+        if np.any(rays.n_heavy(0) * n_points < MIN_EVEN_HITS * rays.rays):
+            raise SpecimenError(
+                "the estimator split needs bright places that points meet: rays found "
+                f"some that are far brighter than the rest, and by chance {n_points} "
+                f"points meet fewer than {MIN_EVEN_HITS} times; take weighted instead"
+            )
+        if n_batches == 1:
+            return
+        each = self.flux.reshape(n_batches, *first.sums.shape[2:])
+        std_err = each.std(axis=0, ddof=1) / np.sqrt(n_batches)
+        value = each.mean(axis=0)
+        low, high = student_interval(value, std_err, n_batches, AGREEMENT)
+        least, most = rays.interval(0, AGREEMENT)
+        if np.any((least > high) | (most < low)):
+            raise SpecimenError(
+                "the estimator split needs points that tell what rays find, but light "
+                "of one event differs in some patches beyond chance: take weighted "
+                "instead"
+            )
+
     def completed(self, tally: Tally) -> Tally:
-        """Tally of the rays of more events, with this light."""
+        """Tally of rays of more events, with this light in place of what they found.
+
+        `tally` holds light of more events and of one, as :meth:`Totals.tallies` says.
+        """
+        tally, first = tally.apart()
+        self._check_rays(first)
         n = tally.n_batches
         sums, hits, fates = tally.sums.astype(float), tally.hits.copy(), tally.fates
         flux = self.flux[:n] * tally.incident[:, None]
@@ -188,7 +225,9 @@ def single_scattering(
     settings = setups[0].settings
     waiting, begin = list(setups), 0
     found: dict[Setup, SingleScattering] = {}
-    end = N_FIRST if settings.noise else N_FIXED
+    # as many joined to patches as rays have branches
+    end = BRANCHES * settings.rays // (settings.batches * setups[0].n_patches)
+    end = N_FIRST if settings.noise else max(N_FIXED, 1 << end.bit_length() >> 1)
     while waiting:
         more_of_each = SurfacePoints(waiting).light(begin, end, report)
         for setup, more in zip(waiting, more_of_each):
@@ -206,9 +245,10 @@ def single_scattering(
         begin, end = end, 2 * end
         if waiting and end * settings.batches * settings.noise**2 > MAX_POINTS_NOISE2:
             raise SpecimenError(
-                f"the estimator split needs wide lobes: the noise of {settings.noise:g}"
-                f" takes more than {begin * settings.batches} points of the surface; "
-                "take weighted instead"
+                "the estimator split needs wide lobes, and no rare bright places: the "
+                f"noise of {settings.noise:g} takes more than "
+                f"{begin * settings.batches} points of the surface; take weighted "
+                "instead"
             )
     for light in found.values():
         light.check_lit()

@@ -339,12 +339,11 @@ def test_precision_that_is_reached_exits_with_0(run):
         ),
         (
             ("measure", "diffuse:rho=1", *QUICK[2:]),
-            "diffuse has no use for rho; it takes reflectance\n",
+            "diffuse has no use for rho\n",
         ),
         (
             ("measure", "roughdielectric:foo=1", *QUICK[2:]),
-            "no use for foo; it takes alpha, alpha_u, alpha_v, distribution, ext_ior, "
-            "int_ior, sample_visible, specular_reflectance, specular_transmittance\n",
+            "no use for foo\n",
         ),
         (
             ("measure", "goniometric:filename=none.npz,foo=1", *QUICK[2:]),
@@ -352,12 +351,11 @@ def test_precision_that_is_reached_exits_with_0(run):
         ),
         (
             ("measure", "diffuse:rho=1,reflectence=0.3", *QUICK[2:]),
-            "no use for rho, reflectence; it takes reflectance; did you mean reflect",
+            "no use for rho, reflectence; did you mean reflectance?\n",
         ),
         (
             ("measure", "cosinelobe:expnent=3", *QUICK[2:]),
-            "cosinelobe has no use for expnent; it takes exponent, normalisation, "
-            "reflectance; did you mean exponent?\n",
+            "cosinelobe has no use for expnent; did you mean exponent?\n",
         ),
         (("measure", "diffuse", "--angle", "3"), ": --angle; did you mean --theta-i?"),
         (("measure", "diffuse", "--theta=3"), ": --theta; did you mean --theta-i?"),

@@ -281,7 +281,6 @@ EXPORTS = [
     "o.anisotropicbsdf",
     "o.json",
     "o.csv",
-    "o.astm",
     "o.nc",
     "o.h5",
     "o.xml",
@@ -427,11 +426,10 @@ def _write_csv(path):
 
 
 def _write_astm(path):
-    from gonio_mi.exchange.formats import astm
-
-    angles = np.random.default_rng(0).uniform(0, 1.5, (20, 4))
-    with open(path, "wb") as stream:
-        astm.write(angles, angles[:, :1], ["550nm"], stream, source="test")
+    rows = np.random.default_rng(0).uniform(0, 1.5, (20, 5)).tolist()
+    lines = ["SOURCE test", "NUM_POINTS 20", "VARS theta_i,phi_i,theta_s,phi_s,550nm"]
+    lines += [",".join(map(repr, row)) for row in rows]
+    path.write_text("\n".join(lines) + "\n")
 
 
 def _read_astm(path):

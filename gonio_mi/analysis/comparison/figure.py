@@ -118,20 +118,13 @@ def _panels(comparison: Any) -> list[_Panel]:
     columns = (comparison.theta_i, comparison.phi_i, comparison.channel, lower)
     distinct = list(dict.fromkeys(zip(*(column.tolist() for column in columns))))
     if len(distinct) > 1 and len(comparison.theta_i) < 2 * len(distinct):
-        return [
-            _over_incidence(comparison, channel)
-            for channel in dict.fromkeys(comparison.channel.tolist())
-        ]
+        label = "θᵢ (degrees), all points"
+        each = dict.fromkeys(comparison.channel.tolist())
+        of_each = [(np.flatnonzero(comparison.channel == one), one) for one in each]
+        return [_Panel(k, comparison.theta_i[k], one, label, "") for k, one in of_each]
     shown = {*lower[lit].tolist()} or {*lower.tolist()}
     sides = ("reflection", "transmission") if len(shown) > 1 else ()
     return [_profile(comparison, sides, *one) for one in distinct if one[-1] in shown]
-
-
-def _over_incidence(comparison: Any, channel: str) -> _Panel:
-    """All points of a channel, over the angle of incidence."""
-    points = np.flatnonzero(comparison.channel == channel)
-    label = "θᵢ (degrees), all points"
-    return _Panel(points, comparison.theta_i[points], channel, label, line="")
 
 
 def _profile(

@@ -224,7 +224,8 @@ def _stack(
 
 def _ways(table: MeasuredTable) -> list[dict[str, Any]]:
     """Settings to measure a table's apertures with, the cheapest first."""
-    wanted = _wanted(table)
+    known = table.bsdf_std_err[table.bsdf > 0] / table.bsdf[table.bsdf > 0]
+    wanted = _error_beside(float(np.median(known)) if known.size else 0.0)
     ways: list[dict[str, Any]] = [
         {"rel_err": wanted, "estimator": "next_event", "trace": True},
         {"rel_err": wanted, "estimator": "weighted"},
@@ -264,12 +265,6 @@ def _collectors(
     cones = dict.fromkeys(zip(theta_o.tolist(), (table.phi_o[here] % 360).tolist()))
     groups = disjoint_groups(list(cones), half_angle) if cones else []
     return [Apertures(half_angle, tuple(group)) for group in groups]
-
-
-def _wanted(table: MeasuredTable) -> float:
-    """Relative standard error to measure a table's apertures to."""
-    known = table.bsdf_std_err[table.bsdf > 0] / table.bsdf[table.bsdf > 0]
-    return _error_beside(float(np.median(known)) if known.size else 0.0)
 
 
 def _error_beside(typical: float) -> float:

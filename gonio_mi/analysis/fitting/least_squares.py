@@ -54,11 +54,13 @@ class Search:
         self.values = np.concatenate([one.values for one in observations])
         self.scales = np.ones_like(self.values)
         self._ends = np.cumsum([one.values.size for one in observations])[:-1]
+        self._predictions = [each for one in observations for each in one.predictions]
+        self._order = observations[0].order  # a table is alone
 
     def begin(self) -> Floats:
         """Values of a first search on a few nodes: the best minimum of all starts."""
         self._last = None
-        for one in self.observations:
+        for one in self._predictions:
             one.begin()
         tried = []
         for start in self.model.starts():
@@ -76,7 +78,8 @@ class Search:
         """Refine the nodes for these values, and share variances."""
         self._last = None
         bsdf = self._loaded.bsdf(values)
-        self._weigh(np.concatenate([one.adapt(bsdf) for one in self.observations]))
+        found = np.concatenate([one.adapt(bsdf) for one in self._predictions])
+        self._weigh(found[self._order])
 
     def _weigh(self, predicted: Floats) -> None:
         """Share variances among patches that are predicted to be alike."""
@@ -147,8 +150,8 @@ class Search:
         """Prediction with the nodes as they are."""
         if self._last is None or not np.array_equal(self._last[0], values):
             bsdf = self._loaded.bsdf(values)
-            found = np.concatenate([one.of(bsdf) for one in self.observations])
-            self._last = values.copy(), found
+            found = np.concatenate([one.of(bsdf) for one in self._predictions])
+            self._last = values.copy(), found[self._order]
             if self._report is not None:
                 self._report(1)
         return self._last[1]
@@ -284,17 +287,12 @@ class FittedModel:
             found = [one for one in found if one.name != "alpha"]
         self.fixed = dict(bsdf)
         self.channels = tuple(channels)
-        self.parameters = tuple(
-            part
-            for one in found
-            for part in (self._colour(one) if self._is_colour(one.name) else [one])
-        )
+        self.parameters = tuple(part for one in found for part in self._by_channel(one))
 
-    def _is_colour(self, name: str) -> bool:
-        return self.channels == RGB and name.endswith(COLOURS)
-
-    def _colour(self, one: Parameter) -> list[Parameter]:
-        """A parameter in each channel, within what Mitsuba loads as a reflectance."""
+    def _by_channel(self, one: Parameter) -> list[Parameter]:
+        """Of a colour one for each channel, within what Mitsuba loads as such."""
+        if self.channels != RGB or not one.name.endswith(COLOURS):
+            return [one]
         low, high = max(one.low, 0.0), min(one.high, 1.0)
         if low >= high:
             raise SettingError(
@@ -378,11 +376,7 @@ class LoadedModel:
         if colours:
             parameters = mi.traverse(bsdf)
             if all(f"{name}.value" in parameters for name in colours):
-                self._hold(rest, bsdf, parameters)
+                while len(self._held) >= MAX_LOADED:
+                    del self._held[next(iter(self._held))]  # the oldest
+                self._held[rest] = bsdf, parameters
         return bsdf
-
-    def _hold(self, rest: tuple[float, ...], bsdf: mi.BSDF, parameters: Any) -> None:
-        """Keep what was loaded, in place of the oldest."""
-        while len(self._held) >= MAX_LOADED:
-            del self._held[next(iter(self._held))]
-        self._held[rest] = bsdf, parameters

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TypeAlias
+from functools import partial
+from typing import Any, TypeAlias
 
-import mitsuba as mi
 import numpy as np
 
 from ...array_types import Floats, Integers
@@ -20,40 +19,7 @@ from .predictions import ConePredictions, PatchPredictions
 MODEL_INTEGRAL_ERR, MIN_RELATIVE_VALUE = 1e-4, 0.01
 
 
-class _Observations:
-    """Values, what a BSDF predicts for them, and how uncertain they are.
-
-    Several predictions make them, each of which is asked.
-
-    Attributes
-    ----------
-    values : ndarray, shape (n,)
-    stated : bool
-        Whether uncertainties of the values are known, and not only how they compare.
-    """
-
-    values: Floats
-    stated: bool
-    _each: Sequence[PatchPredictions | ConePredictions | _PatchMeans]
-
-    def begin(self) -> None:
-        """Take few nodes, which will do for a first search."""
-        for one in self._each:
-            one.begin()
-
-    def adapt(self, bsdf: mi.BSDF) -> Floats:
-        """Prediction, with the nodes that this BSDF needs from now on."""
-        return self._joined([one.adapt(bsdf) for one in self._each])
-
-    def of(self, bsdf: mi.BSDF) -> Floats:
-        """Prediction with the nodes as they are."""
-        return self._joined([one.of(bsdf) for one in self._each])
-
-    def _joined(self, parts: list[Floats]) -> Floats:
-        return np.concatenate(parts)
-
-
-class RecordObservations(_Observations):
+class RecordObservations:
     """Flux fractions of one incident direction of a record, in all its detectors.
 
     As they are, where sums over mirror facets are negative by chance: only unbiased
@@ -62,13 +28,22 @@ class RecordObservations(_Observations):
     Parameters
     ----------
     single : Record
+
+    Attributes
+    ----------
+    values : ndarray, shape (n,)
+    predictions : list of PatchPredictions or of ConePredictions
+        What predicts them, one after the other, ``[order]``.
+    stated : bool
+        Whether uncertainties of the values are known, and not only how they compare.
     """
 
     stated = True
+    order: Any = slice(None)
 
     def __init__(self, single: Record) -> None:
         self.single = single
-        self._each = _predictions(single)
+        self.predictions = _predictions(single)
         self.values = self._kept(single.flux_fraction)
         (self._tally,) = single.tallies
         integrated = single.asked.estimator.integrates
@@ -117,7 +92,7 @@ class RecordObservations(_Observations):
         return self._kept(np.nan_to_num(errors))
 
 
-class TableObservations(_Observations):
+class TableObservations:
     """BSDF values of a measured table, in all its directions.
 
     Parameters
@@ -126,24 +101,19 @@ class TableObservations(_Observations):
         Where it states an aperture, or else patches, its values are means over these.
         Without any uncertainty all values are taken for uncertain by the same part of
         themselves.
+
+    Attributes as of :class:`RecordObservations`.
     """
 
     def __init__(self, table: MeasuredTable) -> None:
         self.table, self.values = table, table.bsdf
         self.stated = bool(table.bsdf_std_err.any())
-        self._rows = [
+        rows = [
             np.flatnonzero((table.theta_i == theta_i) & (table.phi_i == phi_i))
             for theta_i, phi_i in table.incident
         ]
-        self._each = [
-            _means(table, one, rows) for one, rows in zip(table.incident, self._rows)
-        ]
-
-    def _joined(self, parts: list[Floats]) -> Floats:
-        """Values of the incident directions in the rows of the table."""
-        found = np.empty(len(self.table))
-        found[np.concatenate(self._rows)] = np.concatenate(parts)
-        return found
+        self.order: Any = np.argsort(np.concatenate(rows))
+        self.predictions = list(map(partial(_means, table), table.incident, rows))
 
     def variances(self, predicted: Floats) -> Floats:
         """Variances for weights: the table's, or squares of what the model predicts.
@@ -193,30 +163,9 @@ class TableObservations(_Observations):
 Observations: TypeAlias = RecordObservations | TableObservations
 
 
-class _PatchMeans:
-    """Means over patches that hold some rows of a table, in 1/sr."""
-
-    def __init__(self, predictions: PatchPredictions, places: Integers) -> None:
-        self._predictions, self._places = predictions, places
-        solid = predictions.subdivision.projected_solid_angles.ravel()
-        self._solid = np.tile(solid, predictions.hemispheres)[places]
-
-    def begin(self) -> None:
-        """See :class:`_Observations`."""
-        self._predictions.begin()
-
-    def adapt(self, bsdf: mi.BSDF) -> Floats:
-        """See :class:`_Observations`."""
-        return self._predictions.adapt(bsdf)[self._places] / self._solid
-
-    def of(self, bsdf: mi.BSDF) -> Floats:
-        """See :class:`_Observations`."""
-        return self._predictions.of(bsdf)[self._places] / self._solid
-
-
 def _means(
     table: MeasuredTable, incident: tuple[float, float], rows: Integers
-) -> _PatchMeans | ConePredictions:
+) -> PatchPredictions | ConePredictions:
     """What predicts some rows of a table, of one incident direction."""
     lower = table.quantity == "btdf"
     theta = table.theta_o[rows]
@@ -225,8 +174,8 @@ def _means(
     patches = table.patches
     if patches is not None:
         number = patches.patch(direction(np.radians(theta), np.radians(phi)))
-        predictions = PatchPredictions(*light, patches, 1 + lower)
-        return _PatchMeans(predictions, number + lower * patches.n_patches)
+        means_of = number + lower * patches.n_patches
+        return PatchPredictions(*light, patches, 1 + lower, means_of)
     return ConePredictions(
         *light,
         np.stack([theta, phi], axis=-1),

@@ -97,6 +97,9 @@ class PatchPredictions(Predictions):
     patches : Subdivision
     hemispheres : {1, 2}
         Reflection alone, or transmission too.
+    means_of : ndarray of int, optional
+        Patches whose means in 1/sr are predicted instead; ``n_patches`` more in the
+        lower hemisphere.
     """
 
     def __init__(
@@ -106,9 +109,12 @@ class PatchPredictions(Predictions):
         channels: Sequence[str],
         patches: Subdivision,
         hemispheres: int,
+        means_of: Integers | None = None,
     ) -> None:
         super().__init__(incident, side, channels)
-        self.subdivision, self.hemispheres = patches, hemispheres
+        self.subdivision = patches
+        self.n_patches = hemispheres * patches.n_patches
+        self._means_of = means_of
 
     def begin(self) -> None:
         """Take the same few nodes in each patch, which will do for a first search."""
@@ -121,10 +127,13 @@ class PatchPredictions(Predictions):
             rule = Rule(self.subdivision, patch, theta, phi, lower, weight, light)
             self._nodes.append(Nodes.of(rule, self.n_patches))
 
-    @property
-    def n_patches(self) -> int:
-        """Patches of all hemispheres of the record."""
-        return self.hemispheres * self.subdivision.n_patches
+    def _measured_channels(self, values: Floats) -> Floats:
+        """See :class:`Predictions`; means have one channel."""
+        flux = super()._measured_channels(values)
+        if self._means_of is None:
+            return flux
+        solid = self.subdivision.projected_solid_angles.ravel()
+        return flux[self._means_of] / solid[self._means_of % len(solid)]
 
     def adapt(self, bsdf: mi.BSDF) -> Floats:
         """:meth:`of` a BSDF, with the nodes that it needs from now on."""
@@ -139,7 +148,8 @@ class PatchPredictions(Predictions):
                 interaction=self._interaction(nm),
             )
             self._nodes.append(Nodes.of(found.rule, self.n_patches))
-            parts.append(found.flux[: self.hemispheres, ..., : nm and len(nm)])
+            flux = found.flux.reshape(-1, found.flux.shape[-1])
+            parts.append(flux[: self.n_patches, : nm and len(nm)])
         return self._measured_channels(np.concatenate(parts, axis=-1))
 
 
@@ -236,13 +246,15 @@ class ConePredictions(Predictions):
 
     def adapt(self, bsdf: mi.BSDF) -> Floats:
         """:meth:`of` a BSDF, with the nodes that it needs from now on."""
-        n = MIN_NODES
+        n, settled = MIN_NODES, not self.half_angle
         self._take(n)
-        before, found = None, self.of(bsdf)
-        while self.half_angle and n < MAX_NODES and not _alike(before, found):
+        found = self.of(bsdf)
+        while n < MAX_NODES and not settled:
             n *= 2
             self._take(n)
             before, found = found, self.of(bsdf)
+            change, size = np.abs(found - before), np.abs(found)
+            settled = bool(np.all(change <= INTEGRAL_ERR * (size + size.mean())))
         return found
 
     def _take(self, n: int) -> None:
@@ -277,11 +289,3 @@ class ConePredictions(Predictions):
         local = np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine])
         wo = np.einsum("kij,km->imj", np.stack([down, across, axis]), local)
         return wo, np.where(wo[..., 2] > 0, weight, 0.0)
-
-
-def _alike(before: Floats | None, found: Floats) -> bool:
-    """Whether no value has changed by a relevant part."""
-    if before is None:
-        return False
-    change = np.abs(found - before)
-    return bool(np.all(change <= INTEGRAL_ERR * (np.abs(found) + np.abs(found).mean())))

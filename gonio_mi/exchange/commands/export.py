@@ -1,9 +1,9 @@
 """``gonio-mi export``: write a record for other tools.
 
-Write a record for other tools: a table .csv or .astm (after ASTM E1392), a Radiance
-.xml, a .bsdf for Mitsuba's plugin measured, NetCDF .nc, HDF5 .h5, a .zemax.bsdf for
-Zemax, a .brdf or .anisotropicbsdf for Speos, OpenMATERIAL .json or .xompt, or a .binary
-as the MERL database has them. What was written is read back, and what was lost is said.
+Write a record for other tools: a table .csv, a Radiance .xml, a .bsdf for Mitsuba's
+plugin measured, NetCDF .nc, HDF5 .h5, a .zemax.bsdf for Zemax, a .brdf or
+.anisotropicbsdf for Speos, OpenMATERIAL .json or .xompt, or a .binary as the MERL
+database has them. What was written is read back, and what was lost is said.
 """
 
 from argparse import ArgumentParser, Namespace
@@ -41,7 +41,7 @@ def add_options(parser: ArgumentParser) -> None:
         required=True,
         nargs="+",
         metavar="OUT",
-        help="Files that end in .csv, .astm, .xml, .bsdf, .nc, .h5, .zemax.bsdf, "
+        help="Files that end in .csv, .xml, .bsdf, .nc, .h5, .zemax.bsdf, "
         f".binary or {', '.join(e for e in endings_of('write') if e != '.bsdf')}.",
     )
     parser.add_argument(

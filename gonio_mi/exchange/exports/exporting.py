@@ -15,16 +15,15 @@ from ...errors import SettingError, checked_choice, warn
 from ...files import check_output, netcdf, replacing
 from ...files.measured_table import MeasuredTable
 from ...files.writing import takes_a_stream
-from ...results.record import Record, fractions_of, wavelengths_nm
+from ...results.record import Record, fractions_of
 from ...results.summary import OVER_THE_EDGE, summarize
 from ...results.tally import ELEMENT_NAMES
-from ..formats import astm
 from ..formats.radiance import BASES, Product
 from ..formats.reading import endings_of, read_measured
 from .loss import ZEMAX, Loss, losses, part_names
 
 ENDINGS = (
-    *(".csv", ".astm", ".xml", ".bsdf", ".nc", ".h5"),
+    *(".csv", ".xml", ".bsdf", ".nc", ".h5"),
     *(ending for ending in endings_of("write") if ending != ".bsdf"),
     ".binary",
 )
@@ -73,13 +72,12 @@ def export(
         ``.csv``: values at the middles of patches, read by `read_measured`, with the
         seed by which `compare` knows rays of its own, and with the elements of Mueller
         matrices as further columns, which nothing here reads back; for several
-        quantities or channels their names are put before the ending. ``.astm``: text
-        after ASTM E1392, of reflection; see :mod:`~gonio_mi.exchange.formats.astm`.
-        ``.xml``: a Radiance BSDF. ``.bsdf``: for Mitsuba's `measured`, reflection only;
-        needs a variant of rgb, or a spectral one for channels that are wavelengths.
-        ``.nc`` and ``.h5``: NetCDF and HDF5, by xarray. ``.zemax.bsdf``: for Zemax.
-        ``.brdf`` and ``.anisotropicbsdf``: for Speos. ``.json`` or ``.xompt``:
-        OpenMATERIAL. ``.binary``: as the MERL database.
+        quantities or channels their names are put before the ending. ``.xml``: a
+        Radiance BSDF. ``.bsdf``: for Mitsuba's `measured`, reflection only; needs a
+        variant of rgb, or a spectral one for channels that are wavelengths. ``.nc``
+        and ``.h5``: NetCDF and HDF5, by xarray. ``.zemax.bsdf``: for Zemax. ``.brdf``
+        and ``.anisotropicbsdf``: for Speos. ``.json`` or ``.xompt``: OpenMATERIAL.
+        ``.binary``: as the MERL database.
     basis : {"klems", "klems-half", "klems-quarter", "tensor3", "tensor4"}
         Of Radiance: a Klems basis, or a tensor tree for isotropic (3) or any (4)
         materials.
@@ -201,32 +199,6 @@ def _csv(record: Record, path: str | PathLike[str]) -> list[Loss]:
     return losses(record, fractions)
 
 
-def _astm(record: Record, path: str | PathLike[str]) -> list[Loss]:
-    """One table of reflection, a column for each channel."""
-    names = record.channels
-    if len(names) == 1 and wavelengths_nm(names) is None:
-        names = (astm.GREY,)
-    tables = [_table(record, "brdf", number) for number in range(len(names))]
-    first = tables[0]
-    angles = np.radians([first.theta_i, first.phi_i, first.theta_o, first.phi_o])
-    with replacing(path) as stream:
-        astm.write(
-            angles.T,
-            np.stack([table.value for table in tables], axis=-1),
-            names,
-            stream,
-            source="gonio-mi",
-            angle_units="radians",
-            specimen=record.provenance.name,
-            collector=str(record.subdivision),
-            **record.ray_keys,
-        )
-    written = [
-        _in_patches(read_measured(path, name), record.subdivision) for name in names
-    ]
-    return losses(record, np.stack(written, axis=-1)[:, None])
-
-
 def _in_patches(table: MeasuredTable, patches: Subdivision) -> Floats:
     """Flux fractions of a table of middles, shape ``(n_incident, n_theta, n_phi)``."""
     known = np.isfinite(patches.middles[0])
@@ -304,7 +276,6 @@ def _netcdf(
 
 _FORMATS: dict[str, Callable[[Record, str | PathLike[str]], list[Loss]]] = {
     ".csv": _csv,
-    ".astm": _astm,
     ".nc": _netcdf,
     ".h5": partial(_netcdf, engine="h5netcdf"),
 }

@@ -12,44 +12,15 @@ by a wavelength such as ``550nm``, or one of any other name for grey. That value
 from how those programs use them.
 """
 
-from collections.abc import Sequence
 from typing import BinaryIO
 
 import numpy as np
 
-from ...array_types import Floats
 from ...files.checks import require
 from .format import Format, Lines
 from .scatter import Points
 
 ANGLES = ("theta_i", "phi_i", "theta_s", "phi_s")
-
-# ALTA takes a column for grey if its name begins so.
-GREY = "Integrated"
-
-
-def write(
-    angles: Floats, values: Floats, names: Sequence[str], stream: BinaryIO, **keys: str
-) -> None:
-    """Write rows to a binary stream.
-
-    Parameters
-    ----------
-    angles : ndarray, shape (n, 4)
-        :data:`ANGLES` in radians.
-    values : ndarray, shape (n, channels)
-        BRDF in 1/sr.
-    names : sequence of str
-        Of the channels.
-    **keys : str
-        Further lines of the header.
-    """
-    keys = {name.upper(): " ".join(text.split()) for name, text in keys.items()}
-    lines = [f"{key} {text}" for key, text in keys.items()]
-    lines += [f"NUM_POINTS {len(angles)}", f"VARS {','.join([*ANGLES, *names])}"]
-    rows = np.concatenate([angles, values], axis=1).tolist()
-    lines += [",".join(map(repr, row)) for row in rows]
-    stream.write(("\n".join(lines) + "\n").encode())
 
 
 def read(stream: BinaryIO, _: str | None = None) -> Points:
@@ -100,6 +71,5 @@ FORMATS = (
         (".astm",),
         points=read,
         reflection_only=True,
-        loses="transmission, detail between the middles",
     ),
 )

@@ -216,8 +216,9 @@ class IncidentGrid:
                 f"{len(theta_i)} polar angles at each of its {len(phi_i)} azimuths, "
                 "once; or azimuths that are whole sectors apart"
             )
-        gaps = [_widest(phi_i[of_angle >= 0]) for of_angle in tilted.T]
-        widest = max(gaps, default=0)
+        # between azimuths of each polar angle, all around
+        some = [phi_i[of_angle >= 0] for of_angle in tilted.T]
+        widest = max((np.diff([*x, x[0] + 360]).max() for x in some), default=0)
         if len(phi_i) > 1 and widest > MAX_GAP:
             raise SettingError(
                 "the azimuths of incidence of an anisotropic record must go all "
@@ -356,11 +357,6 @@ def _is_filled(grid: Integers, phi_i: Floats, patches: Subdivision) -> bool:
     sectors = (phi_i - phi_i[0]) * n / 360
     whole = np.abs(sectors - np.round(sectors)) * 360 < ANGLE_TOLERANCE * n
     return bool(whole.all() and (grid >= 0).any(axis=0).all())
-
-
-def _widest(phi_i: Floats) -> float:
-    """Widest gap between ascending azimuths, all around, in degrees."""
-    return float(np.diff([*phi_i, phi_i[0] + 360]).max())
 
 
 def _levels(angles: Floats) -> tuple[Floats, Integers]:

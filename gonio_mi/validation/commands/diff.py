@@ -120,16 +120,9 @@ def _compared(options: Namespace) -> Iterator[Any]:
     """Differences of each BSDF, or what went wrong with it if there are several."""
     from ..versions import diff
 
-    for name, specimen, parameters in _specimens(options):
+    for name, specimen, asked in _specimens(options):
         try:
-            found = diff(
-                specimen,
-                options.against,
-                parameters=parameters,
-                plugins=options.plugin,
-                seed=options.seed,
-                alpha=options.alpha,
-            )
+            found = diff(specimen, options.against, alpha=options.alpha, **asked)
         except SpecimenError as error:
             if len(options.specimens) == 1:
                 raise
@@ -146,28 +139,22 @@ def _save(options: Namespace) -> int:
     check_output(options.save, (".json",))
     python = interpreter(options.against or sys.executable)
     entries = [
-        saved(
-            specimen,
-            python,
-            name=name,
-            parameters=parameters,
-            plugins=options.plugin,
-            seed=options.seed,
-        )
-        for name, specimen, parameters in _specimens(options)
+        saved(specimen, python, name=name, **asked)
+        for name, specimen, asked in _specimens(options)
     ]
     save_answers(options.save, entries)
     return DONE
 
 
 def _specimens(options: Namespace) -> Iterator[tuple[str, Any, dict[str, Any]]]:
-    """Name, specimen and parameters of each BSDF, when its turn comes."""
-    if options.specimens:
-        for word in options.specimens:
-            yield (word, *specimen_of(word, options))
-    else:
+    """Name, specimen and how each BSDF is asked, when its turn comes."""
+    asked = {"plugins": options.plugin, "seed": options.seed}
+    for word in options.specimens:
+        specimen, parameters = specimen_of(word, options)
+        yield word, specimen, {"parameters": parameters, **asked}
+    if not options.specimens:
         from ..versions.stock import cases
 
         set_variant(options.variant)
         for name, specimen in cases():
-            yield name, specimen, {}
+            yield name, specimen, asked

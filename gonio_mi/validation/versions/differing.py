@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
+import base64
+import io
+import json
 import math
 import sys
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+import zipfile
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from os import PathLike
-from typing import Any
+from typing import Any, TypeAlias
 
-import mitsuba as mi
 import numpy as np
 from scipy import special
 
 from ...array_types import Flags, Floats
-from ...errors import checked_count, checked_number
-from ...instrument.specimen_text import SpecimenLike, specimen_name
+from ...errors import FileFormatError, SettingError, checked_count, checked_number
+from ...files.writing import replacing
+from ...instrument.specimen_text import SpecimenLike
 from ...single_precision import BSDF_ROUNDING
-from ...transport.variants import check_variant
 from ..samples import SLACK, ULPS, is_many
-from .asking import Answers, Question, ask, interpreter
+from .asking import FORMAT, answers_about, interpreter
 
 
 @dataclass(frozen=True)
@@ -109,11 +112,29 @@ class Differences:
         }
 
 
-# Polar angles of incidence in degrees and transport modes, on either side.
-VIEWS = (
-    *((theta, "Importance") for theta in (0.0, 40.0, 80.0)),
-    (40.0, "Radiance"),
-)
+# Samples of each view; and those that are kept in a file, where values are known at
+# half of them.
+SAMPLES, KEPT = 2**16, 2**13
+
+# What a difference does to images and scenes.
+MEANINGS = {
+    "eval": "images change where this light is seen",
+    "pdf": "weights of combined sampling change; images do not, if `sample` fits it",
+    "sample": "noise changes; images do not, if the light is the same",
+    "weights": "images change, unless `pdf` changed with them",
+    "albedo": "images change: more or less light is scattered",
+    "flags": "integrators treat it otherwise",
+    "parameters": "scenes and scripts that name them, or rely on defaults",
+}
+
+# Whether a function differs, its size in units of the error, and by how much and where.
+Finding: TypeAlias = tuple[bool, float, str]
+
+# Of one view: differences in units of what rounding may leave, and the values compared.
+Sized: TypeAlias = tuple[Floats, Floats, Floats]
+
+# What is known at the directions of the lattice, and at those of samples.
+ROWS = ("eval", "pdf", "eval_slack", "pdf_slack", "wo")
 
 # Directions nearer than that are the same sample, for rounding may tilt a facet.
 SAME = 2.0**-10
@@ -163,65 +184,144 @@ def diff(
     SpecimenError
         If one of the two cannot load the BSDF.
     """
-    check_variant()
     seed = checked_count("seed", seed, 0)
     alpha = checked_number("alpha", alpha, 1e-12, 1, "a probability in [1e-12, 1)")
-    question = asked_of(specimen, parameters, plugins, seed)
     there = interpreter(against)
-    own = ask(sys.executable, question)
-    wo = {name: x for name, x in own.arrays.items() if name.startswith("wo.")}
-    other = ask(there, question, wo)
-    name = specimen_name(specimen, dict(question.parameters))
-    return alike(name, question.conditions, own, other, alpha)
+    asked: dict[str, Any] = {"parameters": parameters, "plugins": plugins, "seed": seed}
+    own = answers_about(specimen, sys.executable, n=SAMPLES, **asked)
+    arrays = decoded(own["arrays"])
+    given = {k: x for k, x in arrays.items() if k.startswith(("wo.", "index."))}
+    other = answers_about(specimen, there, n=SAMPLES, given=given, **asked)
+    return _compared(own, other, alpha)
 
 
-def asked_of(
+def saved(
     specimen: SpecimenLike,
-    parameters: Mapping[str, Any] | None,
-    plugins: Sequence[str],
-    seed: int,
-) -> Question:
-    """Question about a BSDF, in the variant that is set."""
-    conditions = tuple(
-        (theta, side, mode) for side in ("front", "back") for theta, mode in VIEWS
-    )
-    return Question(
-        specimen, parameters or {}, mi.variant(), tuple(plugins), conditions, seed
-    )
+    python: str | PathLike[str],
+    *,
+    name: str | None = None,
+    **asked: Any,
+) -> dict[str, Any]:
+    """What the Mitsuba of a virtual environment says of a BSDF, for JSON.
+
+    Parameters as of :func:`diff`; `name` is what the entry is called.
+    """
+    entry = answers_about(specimen, interpreter(python), n=KEPT, **asked)
+    return entry | ({"name": name} if name else {})
 
 
-def alike(
-    name: str,
-    conditions: Sequence[tuple[float, str, str]],
-    own: Answers,
-    other: Answers,
-    alpha: float,
+def save_answers(
+    path: str | PathLike[str], entries: Sequence[Mapping[str, Any]]
+) -> None:
+    """Write entries of :func:`saved` to a file."""
+    with replacing(path) as file:
+        file.write(json.dumps(list(entries), indent=1).encode())
+
+
+def diff_saved(
+    first: str | PathLike[str], second: str | PathLike[str], *, alpha: float = 1e-3
+) -> list[Differences]:
+    """Compare what two files of :func:`save_answers` say, BSDF by BSDF.
+
+    Values are compared at the directions that both have: a lattice on the sphere, and
+    the samples that are the same in both.
+
+    Raises
+    ------
+    FileFormatError
+        If a file is none of these.
+    SettingError
+        If they hold other BSDFs, or were asked otherwise.
+    """
+    alpha = checked_number("alpha", alpha, 1e-12, 1, "a probability in [1e-12, 1)")
+    own, other = _read(first), _read(second)
+    if own.keys() != other.keys():
+        only = sorted(own.keys() ^ other.keys())
+        raise SettingError(f"both files must hold the same BSDFs, got {only[0]} in one")
+    return [_compared(entry, other[name], alpha) for name, entry in own.items()]
+
+
+def _read(path: str | PathLike[str]) -> dict[str, dict[str, Any]]:
+    """Entries of a file by name of the BSDF."""
+    try:
+        with open(path, "rb") as file:
+            entries = {str(entry["name"]): entry for entry in json.load(file)}
+        for entry in entries.values():
+            decoded(entry["arrays"])
+            dict(entry["asked"]), dict(entry["facts"])
+        if {entry["format"] for entry in entries.values()} != {FORMAT}:
+            raise ValueError
+    except OSError as error:
+        raise FileFormatError(f"{path} cannot be read: {error.strerror}") from None
+    except (ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile):
+        raise FileFormatError(
+            f"{path} holds no answers of `gonio-mi diff --save`"
+        ) from None
+    return entries
+
+
+def decoded(text: str) -> dict[str, Any]:
+    """Arrays of :func:`.worker.encoded`, in double precision or whole numbers."""
+    content = io.BytesIO(base64.b64decode(text, validate=True))
+    with np.load(content, allow_pickle=False) as arrays:
+        return {
+            k: x.astype(float if x.dtype.kind == "f" else int)
+            for k, x in arrays.items()
+        }
+
+
+def _compared(
+    own: Mapping[str, Any], other: Mapping[str, Any], alpha: float
 ) -> Differences:
-    """Differences of answers that were given at the same directions."""
-    versions = own.facts["mitsuba"], other.facts["mitsuba"]
-    return Differences(name, versions, tuple(_parts(conditions, own, other, alpha)))
+    """Differences of two versions' answers, at the directions that both have."""
+    name, asked = own["name"], own["asked"]
+    for key, value in asked.items():
+        if value != other["asked"].get(key):
+            raise SettingError(
+                f"both files must ask {name} with the same {key}, got {value} and "
+                f"{other['asked'].get(key)}"
+            )
+    facts, arrays = zip(*((x["facts"], decoded(x["arrays"])) for x in (own, other)))
+    places, pairs = [], []
+    for i, (theta, side, mode) in enumerate(asked["conditions"]):
+        places.append(f"theta_i {theta:g}, {side}, {mode.lower()} mode")
+        pair = [
+            {key[: -len(f".{i}")]: x for key, x in one.items() if key.endswith(f".{i}")}
+            for one in arrays
+        ]
+        pairs.append(_at_common_directions(*pair))
+    found = {
+        "eval": _worst(places, [_values("eval", *pair) for pair in pairs], ""),
+        "pdf": _worst(places, [_values("pdf", *pair) for pair in pairs], ""),
+        "sample": _sample(places, pairs),
+        "weights": _worst(
+            places, [_weights(*pair) for pair in pairs], "of the same sample "
+        ),
+        "albedo": _albedo(places, pairs, alpha),
+        "flags": _flags(*facts),
+        "parameters": _parameters(*facts),
+    }
+    parts = tuple(Difference(key, *x, MEANINGS[key]) for key, x in found.items())
+    return Differences(name, (facts[0]["mitsuba"], facts[1]["mitsuba"]), parts)
 
 
-def _parts(
-    conditions: Sequence[tuple[float, str, str]],
-    own: Answers,
-    other: Answers,
-    alpha: float,
-) -> Iterator[Difference]:
-    places = [
-        f"theta_i {theta:g}, {side}, {mode.lower()} mode"
-        for theta, side, mode in conditions
-    ]
-    pairs = [(own.at(i), other.at(i)) for i in range(len(conditions))]
-    means = "images change where this light is seen"
-    yield _values("eval", means, places, pairs)
-    means = "weights of combined sampling change; images do not, if `sample` fits it"
-    yield _values("pdf", means, places, pairs)
-    yield _sample(places, pairs)
-    yield _weights(places, pairs)
-    yield _albedo(places, pairs, alpha)
-    yield _flags(own.facts, other.facts)
-    yield _parameters(own.facts, other.facts)
+def _at_common_directions(
+    a: Mapping[str, Any], b: Mapping[str, Any]
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Both answers, without the values at directions that only one of them has."""
+    starts = [len(x["wo"]) - len(x["index"]) for x in (a, b)]
+    index, *places = np.intersect1d(
+        a["index"], b["index"], assume_unique=True, return_indices=True
+    )
+    at = [start + place for start, place in zip(starts, places)]
+    off = np.abs(a["wo"][at[0]] - b["wo"][at[1]]).max(axis=1, initial=0)
+    same = off <= SLACK * ULPS
+    first, second = (
+        {**x, "index": index[same]}
+        | {name: x[name][np.r_[: min(starts), rows[same]]] for name in ROWS}
+        for x, rows in zip((a, b), at)
+    )
+    return first, second
 
 
 def _sizes(a: Floats, b: Floats, slack: Floats | float) -> Floats:
@@ -234,57 +334,35 @@ def _sizes(a: Floats, b: Floats, slack: Floats | float) -> Floats:
     return size if size.ndim == 1 else size.max(axis=1)
 
 
-def _worst(
-    function: str,
-    means: str,
-    places: Sequence[str],
-    sizes: Sequence[Floats],
-    examples: Sequence[tuple[Floats, Floats]],
-    what: str,
-) -> Difference:
-    """Difference at the place where most values differ, if any do beyond rounding."""
-    shares = [float((size > 1).mean()) if len(size) else 0.0 for size in sizes]
-    many = [is_many(size > 1) for size in sizes]
-    if not any(many):
-        most = max((float(np.quantile(s, 0.999)) for s in sizes if len(s)), default=0.0)
-        text = f"to rounding: up to {most:.2g} of what it may leave"
-        return Difference(function, False, most, text, means)
+def _worst(places: Sequence[str], views: Sequence[Sized], what: str) -> Finding:
+    """Finding at the place where most values differ, if any do beyond rounding."""
+    shares = [float((sizes > 1).mean()) if len(sizes) else 0.0 for sizes, *_ in views]
+    n_many = sum(bool(is_many(sizes > 1)) for sizes, *_ in views)
+    if not n_many:
+        known = [float(np.quantile(sizes, 0.999)) for sizes, *_ in views if len(sizes)]
+        most = max(known, default=0.0)
+        return False, most, f"to rounding: up to {most:.2g} of what it may leave"
     i = int(np.argmax(shares))
-    k = _most_seen(sizes[i], *examples[i])
-    a, b = (np.ravel(x[k]).mean() for x in examples[i])
-    size = float(sizes[i][np.argmax(np.where(np.isfinite(sizes[i]), sizes[i], -1))])
-    text = (
-        f"{what}{a:.5g} and {b:.5g}; by up to {size:.3g} times what rounding leaves, "
-        f"{shares[i]:.2g} of all at {places[i]}"
-    )
-    if sum(many) > 1:
-        text += f", and at {sum(many) - 1} more views"
-    return Difference(function, True, size, text, means)
-
-
-def _most_seen(sizes: Floats, a: Floats, b: Floats) -> int:
-    """Index of finite values beyond rounding that are furthest apart.
-
-    Large relative differences in the tails of a lobe are of no interest.
-    """
+    sizes, *values = views[i]
+    # finite values that are furthest apart: large relative differences in the tails of
+    # a lobe are of no interest
     seen = np.isfinite(sizes) & (sizes > 1)
-    if not seen.any():
-        return int(np.argmax(sizes))
     with np.errstate(invalid="ignore"):
-        apart = np.abs(a - b).reshape(len(sizes), -1).max(axis=1)
-    return int(np.argmax(np.where(seen, apart, -1)))
+        apart = np.abs(values[0] - values[1]).reshape(len(sizes), -1).max(axis=1)
+    k = np.argmax(np.where(seen, apart, -1) if seen.any() else sizes)
+    a, b = (np.ravel(x[k]).mean() for x in values)
+    size = float(sizes[np.argmax(np.where(np.isfinite(sizes), sizes, -1))])
+    text = (
+        f"{what}up to {a:.5g} and {b:.5g}; by up to {size:.3g} times what rounding "
+        f"leaves, {shares[i]:.2g} of all at {places[i]}"
+    )
+    return True, size, text + (n_many > 1) * f", and at {n_many - 1} more views"
 
 
-def _values(
-    function: str, means: str, places: Sequence[str], pairs: Sequence[tuple[Any, Any]]
-) -> Difference:
+def _values(function: str, a: Mapping[str, Any], b: Mapping[str, Any]) -> Sized:
     """``eval`` or ``pdf`` at the same directions."""
-    sizes, examples = [], []
-    for a, b in pairs:
-        slack = np.fmax(a[f"{function}_slack"], b[f"{function}_slack"])
-        sizes.append(_sizes(a[function], b[function], np.nan_to_num(slack)))
-        examples.append((a[function], b[function]))
-    return _worst(function, means, places, sizes, examples, "up to ")
+    slack = np.nan_to_num(np.fmax(a[f"{function}_slack"], b[f"{function}_slack"]))
+    return _sizes(a[function], b[function], slack), a[function], b[function]
 
 
 def _given(a: Mapping[str, Any], b: Mapping[str, Any]) -> tuple[Flags, Flags]:
@@ -300,107 +378,87 @@ def _moved(a: Mapping[str, Any], b: Mapping[str, Any]) -> Flags:
     return (first != second) | (first & second & (off | (a["type"] != b["type"])))
 
 
-def _sample(places: Sequence[str], pairs: Sequence[tuple[Any, Any]]) -> Difference:
+def _sample(places: Sequence[str], pairs: Sequence[tuple[Any, Any]]) -> Finding:
     """Directions for the same random numbers."""
     moved = [_moved(a, b) for a, b in pairs]
+    if not any(map(is_many, moved)):
+        return False, 0.0, "the same directions for the same numbers"
     shares = [float(one.mean()) for one in moved]
     i = int(np.argmax(shares))
-    if not any(is_many(one) for one in moved):
-        text = "the same directions for the same numbers"
-        return Difference("sample", False, 0.0, text, "")
     share = f"{shares[i]:.2g} of the same random numbers"
-    text = f"other directions for {share} at {places[i]}"
-    means = "noise changes; images do not, if the light is the same"
-    return Difference("sample", True, 0.0, text, means)
+    return True, 0.0, f"other directions for {share} at {places[i]}"
 
 
-def _weights(places: Sequence[str], pairs: Sequence[tuple[Any, Any]]) -> Difference:
+def _weights(a: Mapping[str, Any], b: Mapping[str, Any]) -> Sized:
     """Weights and densities of samples that have the same direction.
 
     Only where all functions were asked about that direction, so that their slack for
     rounding is known.
     """
-    sizes, examples = [], []
-    for a, b in pairs:
-        index = a["index"].astype(int)
-        start = len(a["wo"]) - len(index)  # after the lattice
-        slacks = [a[f"{name}_slack"][start:] for name in ("pdf", "eval")]
-        values = [np.abs(a[name][start:]) for name in ("pdf", "eval")]
-        tilt = np.abs(a["direction"] - b["direction"])[index].max(axis=1, initial=0)
-        both = np.logical_and(*_given(a, b)) & ~_moved(a, b)
-        both = both[index] & (tilt <= SLACK * ULPS)
-        own, other = (
-            {name: x[name][index][both] for name in ("weight", "sampled_pdf")}
-            for x in (a, b)
-        )
-        # a weight is badly conditioned where a density or a value is
-        relative = (slacks[0] / np.fmax(values[0], SMALLEST))[:, None]
-        relative = relative + slacks[1] / np.fmax(values[1], SMALLEST)
-        weight = _sizes(
-            own["weight"], other["weight"], relative[both] * np.abs(own["weight"])
-        )
-        density = _sizes(own["sampled_pdf"], other["sampled_pdf"], slacks[0][both])
-        name = "weight" if weight.sum() >= density.sum() else "sampled_pdf"
-        sizes.append(np.fmax(weight, density))
-        examples.append((own[name], other[name]))
-    means = "images change, unless `pdf` changed with them"
-    what = "of the same sample up to "
-    return _worst("weights", means, places, sizes, examples, what)
+    index = a["index"].astype(int)
+    start = len(a["wo"]) - len(index)  # after the lattice
+    slack, value_slack = (a[f"{name}_slack"][start:] for name in ("pdf", "eval"))
+    density, value = (np.abs(a[name][start:]) for name in ("pdf", "eval"))
+    tilt = np.abs(a["direction"] - b["direction"])[index].max(axis=1, initial=0)
+    both = np.logical_and(*_given(a, b)) & ~_moved(a, b)
+    both = both[index] & (tilt <= SLACK * ULPS)
+    weights, densities = (
+        [x[name][index][both] for x in (a, b)] for name in ("weight", "sampled_pdf")
+    )
+    # a weight is badly conditioned where a density or a value is
+    relative = (slack / np.fmax(density, SMALLEST))[:, None]
+    relative = relative + value_slack / np.fmax(value, SMALLEST)
+    own, others = weights
+    of_weights = _sizes(own, others, relative[both] * np.abs(own))
+    of_densities = _sizes(densities[0], densities[1], slack[both])
+    shown = weights if of_weights.sum() >= of_densities.sum() else densities
+    return np.fmax(of_weights, of_densities), shown[0], shown[1]
 
 
 def _albedo(
     places: Sequence[str], pairs: Sequence[tuple[Any, Any]], alpha: float
-) -> Difference:
+) -> Finding:
     """Means of weights, with the standard error of their difference."""
     scores, texts = [], []
-    for a, b in pairs:
-        x, y = (np.nan_to_num(one["weight"].mean(axis=1)) for one in (a, b))
-        n, off = len(x), x - y
-        rounding = BSDF_ROUNDING * max(x.mean(), y.mean())
-        error = np.hypot(off.std() / np.sqrt(n), rounding)
+    for pair in pairs:
+        x, y = (np.nan_to_num(one["weight"].mean(axis=1)) for one in pair)
+        root, off = np.sqrt(len(x)), x - y
+        error = np.hypot(off.std() / root, BSDF_ROUNDING * max(x.mean(), y.mean()))
         scores.append(off.mean() / error if error > 0 else 0.0)
-        errors = [one.std() / np.sqrt(n) for one in (x, y)]
         texts.append(
-            f"{x.mean():.5g} +- {errors[0]:.1g} and {y.mean():.5g} +- {errors[1]:.1g}"
+            f"{x.mean():.5g} +- {x.std() / root:.1g} and "
+            f"{y.mean():.5g} +- {y.std() / root:.1g}"
         )
     i = int(np.argmax(np.abs(scores)))
-    level = alpha / len(scores)
-    differs = bool(2 * special.ndtr(-abs(scores[i])) < level)
+    differs = bool(2 * special.ndtr(-abs(scores[i])) < alpha / len(scores))
     text = f"{texts[i]} at {places[i]}: {scores[i]:+.2g} standard errors"
-    means = "images change: more or less light is scattered"
-    return Difference("albedo", differs, float(abs(scores[i])), text, means)
+    return differs, float(abs(scores[i])), text
 
 
-def _flags(a: Mapping[str, Any], b: Mapping[str, Any]) -> Difference:
+def _flags(a: Mapping[str, Any], b: Mapping[str, Any]) -> Finding:
     """Flags of the whole, and of each component."""
     said = [f"{one['flags']:#x}, {len(one['components'])} components" for one in (a, b)]
-    keys = ("flags", "components")
-    if all(a[key] == b[key] for key in keys):
-        return Difference("flags", False, 0.0, said[0], "")
-    text = f"{said[0]} and {said[1]}"
-    return Difference("flags", True, 0.0, text, "integrators treat it otherwise")
+    differs = any(a[key] != b[key] for key in ("flags", "components"))
+    return differs, 0.0, " and ".join(said) if differs else said[0]
 
 
-def _parameters(a: Mapping[str, Any], b: Mapping[str, Any]) -> Difference:
+def _parameters(a: Mapping[str, Any], b: Mapping[str, Any]) -> Finding:
     """Names that ``traverse`` shows, and their values."""
     first, second = a["parameters"], b["parameters"]
-    words = []
-    for names, version in (
-        (sorted(first.keys() - second.keys()), a["mitsuba"]),
-        (sorted(second.keys() - first.keys()), b["mitsuba"]),
-    ):
-        if names:
-            words.append(f"{', '.join(names)} in {version} only")
-    changed = [
-        name
-        for name in first.keys() & second.keys()
-        if not _equal(first[name], second[name])
+    words = [
+        f"{', '.join(sorted(names))} in {version} only"
+        for names, version in (
+            (first.keys() - second.keys(), a["mitsuba"]),
+            (second.keys() - first.keys(), b["mitsuba"]),
+        )
+        if names
     ]
+    common = sorted(first.keys() & second.keys())
+    changed = [name for name in common if not _equal(first[name], second[name])]
     if changed:
-        words.append(f"other values of {', '.join(sorted(changed))}")
-    text = "; ".join(words) or f"{len(first)} of the same names and values"
-    means = "scenes and scripts that name them, or rely on defaults"
-    return Difference("parameters", bool(words), 0.0, text, means)
+        words.append(f"other values of {', '.join(changed)}")
+    same = f"{len(first)} of the same names and values"
+    return bool(words), 0.0, "; ".join(words) or same
 
 
 def _equal(x: Sequence[float] | None, y: Sequence[float] | None) -> bool:

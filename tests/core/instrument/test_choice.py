@@ -31,6 +31,14 @@ def groove(bsdf=DIFFUSE):
     }
 
 
+def spots():
+    """White texels, one of a hundred, on grey ones."""
+    texels = np.full((100, 100, 1), 0.05, np.float32)
+    texels[::10, ::10] = 1
+    bitmap = {"type": "bitmap", "raw": True, "filter_type": "nearest"}
+    return {"type": "diffuse", "reflectance": bitmap | {"bitmap": mi.Bitmap(texels)}}
+
+
 def measured(specimen, theta_i=30, **settings):
     """Record by the estimator `auto`."""
     period = "box" if specimen["type"] == "heightfield" else None
@@ -47,6 +55,12 @@ CASES = {
     "delta": ({"type": "dielectric"}, {"rel_err": 0.01}, "weighted"),
     "traced, few rays": (groove, {"rays": 10_000}, "weighted"),
     "traced, rays": (groove, {"rays": 60_000}, "next_event"),
+    "traced, dark": (
+        lambda: groove({"type": "diffuse", "reflectance": 0.001}),
+        {"rays": 60_000},
+        "weighted",
+    ),
+    "traced, spotted": (lambda: groove(spots()), {"rays": 60_000}, "weighted"),
     "traced, noise": (groove, {"noise": 0.05}, "next_event"),
     "traced, precise": (groove, {"rel_err": 0.1}, "weighted"),
     "glossy": (lambda: groove(GLOSSY), {"rays": 60_000}, "weighted"),
@@ -125,6 +139,13 @@ def test_short_runs_decide(monkeypatch):
     """The twin: where deposits must cost next to nothing, rays are taken."""
     monkeypatch.setattr(choice, "MAX_RATIO", 1e-6)
     assert measured(groove(), rays=60_000).settings["estimator"] == "weighted"
+
+
+def test_rare_bright_places_decide(monkeypatch):
+    """The twin: without a look at them deposits seem to cost less."""
+    monkeypatch.setattr(choice, "_hides_bright_places", lambda *_: False)
+    specimen, settings, _ = CASES["traced, spotted"]
+    assert measured(specimen(), **settings).asked.estimator.deposits
 
 
 def test_rays_cost_what_was_asked_for(monkeypatch):

@@ -13,7 +13,8 @@ from budget import agree, disagree, normal_scores, single
 from specimens import diffuse_groove_dhr
 
 from gonio_mi.cli import main
-from gonio_mi.instrument import loading, specimen_text
+from gonio_mi.exchange.exports import export
+from gonio_mi.instrument import specimen_text
 from gonio_mi.instrument.incidence import USUAL_ANGLES, incident_angles
 
 PLATE = {"type": "diffuse", "reflectance": 0.5}
@@ -114,40 +115,6 @@ def test_hair_in_colour(variant):
     records = [gonio.measure(fibre(**each), **settings) for each in given]
     assert len({record.settings["digest"] for record in records}) == len(given)
     assert all((record.dhr > 0).all() for record in records)
-
-
-# ------------------------------------------------------ misspelt parameters
-
-
-@pytest.mark.parametrize(
-    ("specimen", "most", "advice"),
-    [
-        ({"type": "heightfield", "heights": np.zeros((4, 4))}, 0, False),
-        ({"type": "rectangle", "bsdf": {"type": "diffuse"}}, 0, False),
-        ({"type": "heightfield", "resolution": 32}, 1 + loading.MAX_TRIALS, False),
-        ({"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.05}}, 2, True),
-    ],
-)
-@pytest.mark.usefixtures("mono")
-def test_misspelt_parameters_take_few_loads(specimen, most, advice, monkeypatch):
-    """None of what may be large; and the trials warn of nothing."""
-    tried, unread = [], loading._unread
-
-    def counted(*args):
-        tried.append(args)
-        with warnings.catch_warnings(record=True) as said:
-            warnings.simplefilter("always")
-            found = unread(*args)
-        assert not said
-        return found
-
-    monkeypatch.setattr(loading, "_unread", counted)
-    if "heights" in specimen:
-        specimen = specimen | {"heights": mi.TensorXf(specimen["heights"]), "size": 2}
-    with pytest.raises(gonio.SpecimenError, match="no use for alpah") as refused:
-        loading.load_specimen(specimen | {"alpah": 0.1})
-    assert len(tried) <= most
-    assert ("; it takes reflectance" in str(refused.value)) == advice
 
 
 def test_colour_of_one_number():
@@ -369,7 +336,6 @@ def test_small_angles_in_degrees_are_not_taken_for_radians():
 @pytest.mark.parametrize("ending", ["npz", "xml", "exr"])
 def test_material_file_in_one_word(tmp_path, ending, monkeypatch, capsys):
     """A plugin's setting may end in .xml; a scene file may be absent."""
-    from gonio_mi.exchange.exports import export
 
     record = gonio.measure(PLATE, theta_i=[0, 45], rays=4096, collector="klems")
     monkeypatch.chdir(tmp_path)

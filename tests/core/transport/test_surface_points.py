@@ -4,6 +4,8 @@ Patches scatter together, so that they are judged by sums over rings and quarter
 azimuth, whose p-values are added up (Bonferroni), not as if independent.
 """
 
+from contextlib import suppress
+
 import gonio_mi as gonio
 
 # isort: split
@@ -194,9 +196,63 @@ def test_bits_alone_and_in_a_stack(tmp_path, monkeypatch):
     assert gonio.load(tmp_path / "stack.npz") == stack
 
 
+def spotted(part, dark=0.001):
+    """Grooves of 45 degrees, a part of whose texels is white and the rest dark."""
+    texels = np.full(2**14, dark, np.float32)
+    spots = np.random.default_rng(0).choice(2**14, round(part * 2**14), replace=False)
+    texels[spots] = 1
+    bitmap = {"type": "bitmap", "raw": True, "filter_type": "nearest"}
+    bitmap["bitmap"] = mi.Bitmap(texels.reshape(128, 128, 1))
+    return grooves(45, 1, bsdf=both_sided({"type": "diffuse", "reflectance": bitmap}))
+
+
+def test_spots_that_nothing_met():
+    """They are in its interval; twin: if only a branch may be missed.
+
+    Against 128 times as many rays of `weighted`; where rays meet one, it is refused.
+    """
+    specimen, where = spotted(3 / 2**14), INCIDENTS[1:2]
+    ((truth,),) = measure_each(specimen, where, rays=2**20, **COMMON).dhr
+    within = []
+    for seed in range(4):
+        with suppress(SpecimenError):
+            record = split(specimen, where, rays=2**13, seed=seed)
+            value, low, high = *record.dhr[0], *np.ravel(record.interval(0.95, "dhr"))
+            within.append((low <= truth <= high, truth <= value + (high - value) / 16))
+    ours, twin = np.transpose(within)
+    assert ours.all()
+    assert not twin.all()
+
+
+def test_points_are_compared_with_rays(monkeypatch):
+    """Their light of one event agrees; twin: points that do not see some patch."""
+    light = surface_points.SurfacePoints.light
+
+    def blind(self, *arguments):
+        found = light(self, *arguments)
+        for one in found:
+            one.sums[:, 20] = 0
+        return found
+
+    specimen, where = grooves(30, 1, bsdf=GREY), INCIDENTS[1:2]
+    split(specimen, where)
+    monkeypatch.setattr(surface_points.SurfacePoints, "light", blind)
+    with pytest.raises(SpecimenError, match="differs in some patches"):
+        split(specimen, where)
+
+
+def test_more_rays_more_points():
+    """As many looks at patches as rays have branches, 128 points at least: exact."""
+    found = [split(spotted(0.1), INCIDENTS[:1], rays=rays) for rays in (2**9, 2**16)]
+    least = [int(one.counts[one.counts > 0].min()) // 16 for one in found]
+    assert [2 ** (n.bit_length() - 1) for n in least] == [128, 1024]
+
+
 @pytest.mark.parametrize(
     ("specimen", "settings", "reason"),
     [
+        (lambda: spotted(1e-3), {}, "fewer than 30 times"),
+        (lambda: spotted(1e-3), {"rays": None, "noise": 0.05}, "rare bright places"),
         (lambda: field(GREY), {"period": "none"}, "periodic cell"),
         (lambda: field(MIRROR), {}, "without delta"),
         (lambda: spheres()["sphere"], {}, "without gaps"),
@@ -270,3 +326,7 @@ def test_a_campaign_keeps_what_it_found(monkeypatch):
     assert str(record.asked.estimator) == "split"
     incidents = [(one.theta_i, one.phi_i, one.settings.noise) for one in setups]
     assert len(set(incidents)) == len(incidents)
+    # tests are by other points than the material's
+    tests = {one.theta_i for one in setups if one.settings.seed == 1}
+    assert len(tests) == whole_bsdf.N_UNSEEN
+    assert not tests & set(record.theta_i)
