@@ -31,14 +31,23 @@ for module in pkgutil.walk_packages(gonio_mi.__path__, "gonio_mi."):
         except ModuleNotFoundError as error:
             print("lacks", module.name.rpartition(".")[2], error.name.split(".")[1])
 from gonio_mi import cli, plugins
+from gonio_mi.annexes import is_missing
 print("commands", *cli.COMMANDS)
 print("plugins", *plugins.modules())
+if not is_missing("exchange"):
+    from gonio_mi.exchange.exports import bsdf
+    try:
+        bsdf("diffuse", "missing_folder/diffuse.xml")
+    except (OSError, ValueError) as error:
+        print(error)
 """
 
 # Modules that are imported where they are used, since they need another annex.
 LATE = {
     f"lacks {name}_export materials" for name in ("measured", "radiance", "scatter")
 }
+
+FUTURE = "from __future__ import annotations\n"
 
 
 def without(annexes, folder):
@@ -93,12 +102,14 @@ def test_without_one_annex(annex, tmp_path):
     lacking = {line for line in said.split("\n") if line.startswith("lacks")}
     assert lacking == (LATE if annex == "materials" else set())
     assert "goniometric" not in said or annex != "materials"
+    assert ("a file .xml needs the part materials" in said) == (annex == "materials")
 
 
 def test_twin_a_core_that_imports_an_annex_does_not_start(tmp_path):
     run = without(ANNEXES, tmp_path)
     module = tmp_path / "gonio_mi" / "plots" / "plot.py"
-    module.write_text("from ..analysis import charts\n" + module.read_text())
+    before, future, after = module.read_text().partition(FUTURE)
+    module.write_text(f"{before}{future}from ..analysis import charts\n{after}")
     code, said = run("-c", LOOK)
     assert code != 0
     assert "No module named 'gonio_mi.analysis'" in said
