@@ -59,16 +59,18 @@ def pytest_xdist_make_scheduler(config, log):
 
 # Files whose tests take most of the time: -m "not slow" leaves them out.
 SLOW = """
-    alarms annexes azimuth_symmetry benchmark bits bsdf_files campaign chart cosines
-    coverage created_light dark_light daylight exports file_safety files_radiance
-    first_mistakes fitting foreign_plugins foreign_verdicts fuzz glass goniometric
+    alarms annexes azimuth_symmetry benchmark bits blind_spots bsdf_files campaign
+    changes chart chi2 choice cosines coverage created_light dark_light daylight digest
+    dispersion exit_profile exports extents file_safety files_radiance first_mistakes
+    fitting foreign_plugins foreign_verdicts free_standing fuzz glass goniometric
     goniometric_files half_vectors handbook handbook_blocks heightfield integrals
     intervals kernels llvm lobes measured_like media mesh_specimens micro_normals
-    microgeometry mueller next_event notebooks numpy_bsdf order orientation paper_bsdfs
-    periodic phase_functions phase_verdicts polar_cross_validation polarised porous
-    pytest_entry quadrature reproducers rounds scenes short_bsdfs slabs sobol
-    spectral_coverage stock stock_bsdfs suspects tables tolerance_command transport
-    types verdicts versions where_methods_fail whole_bsdf workers
+    microgeometry mirror mirror_facets mueller near_emitters next_event notebook_views
+    notebooks numpy_bsdf order orders_together orientation paper_bsdfs patch_variation
+    periodic phase_functions phase_verdicts places polar_cross_validation polarised
+    porous pytest_entry quadrature reports reproducers rounds scenes short_bsdfs slabs
+    sobol spectral_coverage stacks stock stock_bsdfs suspects tables tolerance_command
+    transport types verdicts versions where_methods_fail whole_bsdf workers
 """
 
 

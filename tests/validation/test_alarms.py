@@ -24,8 +24,25 @@ from gonio_mi.validation.samples import samples_of
 
 SEEDS = int(os.environ.get("GONIO_SEEDS", "1"))
 
-# Seconds each, for a few seeds too many.
-SLOW = ("rough glass of index 1.0001", "rough glass 0.01", "rough glass 1")
+# For a few seeds too many: seconds each, or between others that are like them.
+MORE = (
+    *("ggx 0.01", "ggx 0.05", "ggx 0.05, all normals", "ggx 0.2", "plastic"),
+    *("rough glass 0.01", "rough glass 1", "rough glass of index 1.0001"),
+    *("rough glass of index 3", "glass of index 1.01", "glass of index 3"),
+    *("bitmap", "checkerboard of roughness", "principled metal"),
+)
+
+
+# Samplers of growing tails, and seeds of each: p-values of one view in 48 maps.
+TAILS = (
+    "lambert by uniform",
+    "lambert by cosine^3",
+    "ggx 0.1 by cosine",
+    "ggx 0.5 by mirrored power",
+    "ggx 0.3 by beckmann 0.4",
+    "ggx 0.3 by ggx 0.1",
+)
+TRIALS = 8
 
 
 @pytest.fixture
@@ -56,7 +73,7 @@ def alarms(name, specimen):
 
 @pytest.mark.usefixtures("mono", "remembered")
 @pytest.mark.parametrize(
-    "name", [name for name in right_bsdfs.RIGHT if SEEDS > 1 or name not in SLOW]
+    "name", [name for name in right_bsdfs.RIGHT if SEEDS > 1 or name not in MORE]
 )
 def test_right_plugins_pass(name):
     assert not alarms(name, right_bsdfs.RIGHT[name])
@@ -66,11 +83,13 @@ def test_right_plugins_pass(name):
 def test_right_maps_pass():
     """Textures, maps of heights and normals, and what holds other BSDFs."""
     for name, specimen in right_bsdfs.textured().items():
-        assert not alarms(name, specimen)
+        assert (SEEDS == 1 and name in MORE) or not alarms(name, specimen)
 
 
 @pytest.mark.usefixtures("mono")
-@pytest.mark.parametrize("name", right_bsdfs.HEAVY)
+@pytest.mark.parametrize(
+    "name", [name for name in right_bsdfs.HEAVY if SEEDS > 1 or name not in TAILS]
+)
 def test_heavy_weights_are_no_fault(name):
     """Whatever their tails, up to an infinite variance."""
     right_bsdfs.register()
@@ -168,18 +187,6 @@ def test_a_direction_that_rounds_to_the_pole_has_any_azimuth(sector, monkeypatch
     found = maps.four_maps(bsdf, Condition(0.0, 25.0), grid, 2**19, (0, 1))
     p = budget.Verdict(found.count_scores.p_values)
     (budget.agree if sector == "any" else budget.disagree)(p)
-
-
-# Samplers of growing tails, and seeds of each: p-values of one view in 96 maps.
-TAILS = (
-    "lambert by uniform",
-    "lambert by cosine^3",
-    "ggx 0.1 by cosine",
-    "ggx 0.5 by mirrored power",
-    "ggx 0.3 by beckmann 0.4",
-    "ggx 0.3 by ggx 0.1",
-)
-TRIALS = 16
 
 
 @pytest.mark.usefixtures("mono")

@@ -24,7 +24,7 @@ from gonio_mi.collector.stokes import (
 from gonio_mi.validation import POLARISED, validate
 from gonio_mi.validation.mueller import MuellerProbe
 
-SEEDS = max(50, int(os.environ.get("GONIO_SEEDS", "1")))
+SEEDS = max(12, int(os.environ.get("GONIO_SEEDS", "1")))
 VARIANT = "llvm_ad_mono_polarized"
 ROUGH = {"type": "roughconductor", "eta": 0.2, "k": 3.0, "alpha": 0.3}
 

@@ -48,7 +48,6 @@ from ...transport.shapes import bounds
 from ..exports.bsdf_file import RAYS, bsdf, properties
 from ..exports.daylight import VISIBLE_NM, luminous
 from ..exports.loss import in_words
-from ..exports.radiance_export import READ_BACK, read_back
 from ..formats.radiance import BASES, BLOCKS, Product
 
 WAVELENGTHS = f"{VISIBLE_NM[0]} to {VISIBLE_NM[-1]} by {VISIBLE_NM[1] - VISIBLE_NM[0]}"
@@ -139,6 +138,8 @@ def run(options: Namespace) -> int:
     if options.json:
         tell_json(found)
     elif not options.quiet:
+        from ..exports.radiance_export import READ_BACK, read_back
+
         tell(_table(found))
         sides = [records["front"], records["back"]]
         for line in in_words(read_back(sides, options.output)):

@@ -53,7 +53,6 @@ def run(options: Namespace) -> int:
     # which need a renderer
     from ..exports.exporting import ENDINGS, export
     from ..exports.loss import in_words, written_files
-    from ..exports.radiance_export import READ_BACK, read_back
 
     for path in options.output:
         files.check_output(path, ENDINGS)
@@ -71,6 +70,8 @@ def run(options: Namespace) -> int:
             said += map(str, written_files(records[0], path))
             said += [f"  {x}" for x in (losses if options.every else in_words(losses))]
             if Path(path).suffix.lower() == ".xml":
+                from ..exports.radiance_export import READ_BACK, read_back
+
                 back = in_words(read_back(records, path))
                 said += [f"  {READ_BACK}: {line}" for line in back]
                 said.append(f"  blocks: {BLOCKS}")

@@ -11,6 +11,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+from ...annexes import check_there
 from ...campaigns.campaign import campaign
 from ...campaigns.measure import measure_whole
 from ...collector import EqualProjectedSolidAngle
@@ -24,7 +25,6 @@ from ...settings.values import checked_wavelengths
 from ..formats.radiance import BASES, Product
 from .daylight import SOLAR, VISIBLE, VISIBLE_NM, of_daylight
 from .exporting import export
-from .radiance_export import incidence
 
 # Rays for each incident patch where nothing is asked for.
 RAYS = 2**16
@@ -101,6 +101,9 @@ def bsdf(
     KeyboardInterrupt
         After Ctrl-C: no file is written.
     """
+    check_there("materials", "a file .xml")
+    from .radiance_export import incidence
+
     check_output(path, (".xml",))
     checked_choice("basis", basis, BASES)
     for name in FIXED:

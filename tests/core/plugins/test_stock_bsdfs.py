@@ -16,7 +16,7 @@ import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
 
 RAYS = 2 * 10**6
-ANGLES = (0, 30, 60, 85, 89.9)
+ANGLES = (0, 60, 89.9)
 PHI_I = 25.0
 COLLECTOR = "projected:12x24"
 
@@ -263,17 +263,16 @@ def test_brdf(name, theta_i):
 
 
 @pytest.mark.usefixtures("mono")
-@pytest.mark.parametrize("theta_i", [0, 60, 89])
 @pytest.mark.parametrize("name", REFLECTING | TRANSMITTING)
-def test_sobol(name, theta_i):
+def test_sobol(name):
     """Fewer rays, since they are worth more."""
-    z, twin = compared(name, theta_i, sampler="sobol", rays=10**5, off=1.1)
+    z, twin = compared(name, 60, sampler="sobol", rays=10**5, off=1.1)
     agree(verdict(z))
     disagree(verdict(twin))
 
 
 @pytest.mark.usefixtures("rgb")
-@pytest.mark.parametrize("theta_i", ANGLES[:4])
+@pytest.mark.parametrize("theta_i", [0, 60])
 @pytest.mark.parametrize("name", MAPPED)
 def test_brdf_of_mapped(name, theta_i):
     z, twin = compared(name, theta_i)

@@ -133,7 +133,7 @@ def test_apertures_as_deposited():
 
 
 @pytest.mark.usefixtures("mono")
-@pytest.mark.parametrize("theta_i", [0, 45, 89])
+@pytest.mark.parametrize("theta_i", [0, 89])
 @pytest.mark.parametrize("name", NO_RAYS)
 def test_promised_error(name, theta_i):
     """Rules agree within what was asked of them; and the looser has no more cells."""
@@ -151,7 +151,7 @@ def test_promised_error(name, theta_i):
 
 
 @pytest.mark.usefixtures("rgb")
-@pytest.mark.parametrize("theta_i", [0, 60, 89])
+@pytest.mark.parametrize("theta_i", [60, 89])
 @pytest.mark.parametrize("name", MATERIALS)
 def test_as_sampled(name, theta_i):
     """Integrals and delta components together, against independent rays."""
@@ -192,8 +192,10 @@ def test_delta_components_have_the_intervals_of_their_rays():
 
 
 @pytest.mark.usefixtures("mono")
-@pytest.mark.parametrize("theta_i", [0, 85, 89])
-@pytest.mark.parametrize("collector", ["projected:30x30", "angle:30x30"])
+@pytest.mark.parametrize(
+    ("collector", "theta_i"),
+    [("projected:30x30", 0), ("angle:30x30", 85), ("projected:30x30", 89)],
+)
 def test_sharp_lobe(collector, theta_i):
     """Roughness 0.005 at grazing: two collectors, the same reflectance."""
     record = integrated(SHARP, theta_i, collector=collector)
@@ -286,9 +288,13 @@ def test_frame_of_the_specimen():
 
 
 @pytest.mark.usefixtures("rgb")
-@pytest.mark.parametrize("name", ["roughdielectric", "plastic"])
-@pytest.mark.parametrize("ending", ["npz", "exr"])
-@pytest.mark.parametrize("theta_i", [30, [0, 60]])
+@pytest.mark.parametrize(
+    ("name", "ending", "theta_i"),
+    [
+        *(("roughdielectric", "npz", 30), ("roughdielectric", "exr", [0, 60])),
+        *(("plastic", "npz", [0, 60]), ("plastic", "exr", 30)),
+    ],
+)
 def test_files(tmp_path, name, ending, theta_i):
     record = integrated(MATERIALS[name], theta_i, rays=1000, batches=4)
     path = tmp_path / f"record.{ending}"

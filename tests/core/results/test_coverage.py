@@ -73,8 +73,9 @@ def glossy(order, name="glossy"):
 @pytest.mark.parametrize(
     ("order", "rays", "points"),
     [
-        *(("all", rays, 1) for rays in (1000, 10_000)),
-        *(("2", rays, 1) for rays in (1000, 10_000)),
+        ("all", 1000, 1),
+        ("2", 1000, 1),
+        ("all", 10_000, 1),
         ("all", 4000, 96),
     ],
 )

@@ -116,9 +116,13 @@ def test_russian_roulette_in_the_dark(transmittance, mono):  # noqa: ARG001
     np.testing.assert_allclose(record.dht[0], transmittance, rtol=8 * EPS32)
 
 
-@pytest.mark.parametrize("estimator", ["weighted", "next_event"])
 @pytest.mark.parametrize(
-    ("half_angle", "theta_i", "rho"), [(40, 25, 2e-3), (30, 50, 3e-5), (55, 0, 1e-9)]
+    ("half_angle", "theta_i", "rho", "estimator"),
+    [
+        (40, 25, 2e-3, "weighted"),
+        (30, 50, 3e-5, "next_event"),
+        (55, 0, 1e-9, "weighted"),
+    ],
 )
 def test_third_order_of_dark_grooves(half_angle, theta_i, rho, estimator, mono):  # noqa: ARG001
     """What leaves after three events, against the series of the radiosity equation."""
@@ -276,13 +280,12 @@ def test_files_keep_faint_light(suffix, tmp_path, mono):  # noqa: ARG001
     assert gonio.load(path).tallies == record.tallies
 
 
-@pytest.mark.parametrize("rays", [1000, 20_000])
-def test_coverage_in_the_dark(rays, mono):  # noqa: ARG001
+def test_coverage_in_the_dark(mono):  # noqa: ARG001
     """Errors of a dark traced groove's second order are as large as its error bars."""
     truth = diffuse_groove_order(40, 25, 1e-5, 2)
     wall = {"type": "twosided", "bsdf": matte(1e-5)}
     scene = load_specimen(grooves(40, 1, bsdf=wall))
-    settings = {"period": "box", "order": 2, "collector": "projected:1x1", "rays": rays}
+    settings = {"period": "box", "order": 2, "collector": "projected:1x1", "rays": 1000}
     records = [gonio.measure(scene, 25, seed=seed, **settings) for seed in range(50)]
     degrees = records[0].n_batches - 1
 

@@ -324,10 +324,10 @@ def test_paint_hides_its_base():
 
 @pytest.mark.usefixtures("rgb")
 def test_skin_is_red_and_leaf_is_green():
-    skin = measured(SCENES / "skin.xml", rays=20_000)
+    skin = measured(SCENES / "skin.xml", rays=4000)
     assert skin.dhr[0] > skin.dhr[1] > skin.dhr[2]
     sides = [
-        measured(SCENES / "leaf.xml", side=side, rays=20_000)
+        measured(SCENES / "leaf.xml", side=side, rays=4000)
         for side in ("front", "back")
     ]
     for side in sides:
@@ -341,10 +341,10 @@ def test_skin_is_red_and_leaf_is_green():
 def test_leaf_transmits_alike_both_ways():
     """Reciprocity of a plate: lit all over, as much passes up as down (Lambertian)."""
     sky = {"type": "constant"}
-    down = measured(SCENES / "leaf.xml", None, emitter=sky, rays=50_000)
+    down = measured(SCENES / "leaf.xml", None, emitter=sky, rays=20_000)
     # of each direction alone it is another share
     up = [
-        measured(SCENES / "leaf.xml", theta, side="back", rays=10_000)
+        measured(SCENES / "leaf.xml", theta, side="back", rays=3000)
         for theta in RING_ANGLES
     ]
     t = np.mean([one.dht[0] for one in up])

@@ -51,9 +51,14 @@ def shares_of(half_angle, theta_i):
     return groove_shares(half_angle, theta_i)
 
 
-@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
-@pytest.mark.parametrize("theta_i", [3, 35, 80])
-@pytest.mark.parametrize("half_angle", [20, 45, 65])
+@pytest.mark.parametrize(
+    ("half_angle", "theta_i", "scale"),
+    [
+        *((20, 3, 1e-6), (20, 35, 1.0), (20, 80, 1e6)),
+        *((45, 3, 1.0), (45, 35, 1e6), (45, 80, 1e-6)),
+        *((65, 3, 1e6), (65, 35, 1e-6), (65, 80, 1.0)),
+    ],
+)
 def test_mirror_grooves_are_counted_exactly(half_angle, theta_i, scale):
     """Shares of orders and exit directions against rays in two dimensions."""
     shares = shares_of(half_angle, theta_i)
@@ -78,7 +83,7 @@ def test_mirror_grooves_are_counted_exactly(half_angle, theta_i, scale):
     assert counts[0] > 0
 
 
-@pytest.mark.parametrize("theta_i", [0, 30, 60, 80])
+@pytest.mark.parametrize("theta_i", [30, 80])
 def test_no_light_leaks_through_closed_grooves(theta_i):
     """Exact: of a finite mirror mesh, nothing gets below at crests and valleys."""
     rays = traced(grooves(45, 40, 0.7), theta_i, n=10**6, period="none")
@@ -298,9 +303,13 @@ def test_benchmark_sends_the_same_paths():
 # ------------------------------------------------------------------------ cavities
 
 
-@pytest.mark.parametrize("estimator", ["weighted", "next_event"])
-@pytest.mark.parametrize("theta_i", [0, 75])
-@pytest.mark.parametrize("half_angle", [20, 60])
+@pytest.mark.parametrize(
+    ("half_angle", "theta_i", "estimator"),
+    [
+        *((20, 0, "weighted"), (20, 75, "next_event")),
+        *((60, 0, "next_event"), (60, 75, "weighted")),
+    ],
+)
 def test_diffuse_grooves(half_angle, theta_i, estimator):
     """Reflectance against the radiosity of two strips; rho is 0.8.
 
@@ -363,7 +372,7 @@ def test_hemispherical_cavity(theta_i, rho):
 
 
 def test_periodic_field_is_reciprocal():
-    """f(a, b) and f(b, a) of 20 random pairs, for grey diffuse facets.
+    """f(a, b) and f(b, a) of 8 random pairs, for grey diffuse facets.
 
     A detector is a cone of 5 degrees; the mean over it differs from the value in its
     middle by the square of 0.09, times a curvature that both directions nearly share.
@@ -371,7 +380,7 @@ def test_periodic_field_is_reciprocal():
     grey = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": 0.7}}
     field = heightfield(bsdf=grey, alpha=0.7, resolution=32)
     rng = np.random.default_rng(3)
-    cosines, azimuths = rng.uniform(0.35, 0.9, (20, 2)), rng.uniform(0, 360, (20, 2))
+    cosines, azimuths = rng.uniform(0.35, 0.9, (8, 2)), rng.uniform(0, 360, (8, 2))
     n, half = 100_000, np.cos(np.radians(5))
     scores, twins = [], []
     for (cos_a, cos_b), (phi_a, phi_b) in zip(cosines, azimuths):

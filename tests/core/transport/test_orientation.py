@@ -52,15 +52,19 @@ def measured(specimen, **settings):
     return gonio.measure(specimen, 20, sampler="independent", **settings)
 
 
-@pytest.mark.parametrize("twosided", [False, True])
-@pytest.mark.parametrize("flipped", [False, True])
-@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize(
+    ("mirrored", "flipped", "twosided"),
+    [
+        *((False, False, False), (False, True, False)),
+        *((True, False, False), (True, True, False), (False, True, True)),
+    ],
+)
 @pytest.mark.parametrize("kind", [*FLAT_ON_TOP, "sphere", "cylinder"])
 def test_black_is_what_mitsuba_says(kind, mirrored, flipped, twosided):
     """And a flat top that is lit sends every ray back."""
     bsdf = {"type": "twosided", "bsdf": DIFFUSE} if twosided else DIFFUSE
     specimen = shape(kind, mirrored, bsdf, flip_normals=flipped)
-    record = measured(specimen)
+    record = measured(specimen, rays=2**14)
     black = is_black(specimen)
     assert (record.dhr[0] == 0) == black
     assert not (black and twosided)
@@ -94,9 +98,16 @@ def smooth_sphere(path):
     return str(path)
 
 
-@pytest.mark.parametrize("estimator", ["weighted", "next_event"])
-@pytest.mark.parametrize("bsdf", [DIFFUSE, GLASS], ids=lambda bsdf: bsdf["type"])
-@pytest.mark.parametrize("kind", ["cube", "rectangle", "cylinder", "smooth.ply"])
+@pytest.mark.parametrize(
+    ("kind", "bsdf", "estimator"),
+    [
+        *(("cube", GLASS, "next_event"), ("cube", DIFFUSE, "weighted")),
+        *(("rectangle", GLASS, "weighted"), ("rectangle", DIFFUSE, "next_event")),
+        *(("cylinder", GLASS, "weighted"), ("cylinder", DIFFUSE, "next_event")),
+        *(("smooth.ply", GLASS, "weighted"), ("smooth.ply", DIFFUSE, "next_event")),
+    ],
+    ids=lambda one: one["type"] if isinstance(one, dict) else one,
+)
 def test_mirror_image_of_symmetric_shapes(kind, bsdf, estimator, tmp_path):
     """Both measure the same, and so do their lower hemispheres."""
     if kind.endswith(".ply"):

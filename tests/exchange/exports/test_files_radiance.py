@@ -1,6 +1,7 @@
 """Radiance's files: read by Radiance itself, and by us when they are hostile."""
 
 import io
+import itertools
 import json
 import re
 import subprocess
@@ -175,8 +176,9 @@ material polygon plate 0 0 12 -1 -1 0 1 -1 0 1 1 0 -1 1 0
     return seen.reshape(-1, 3) / (radiance * solid_angle * np.abs(wi[2]) * LUMENS)
 
 
-@pytest.mark.parametrize("side", ["front", "back"])
-@pytest.mark.parametrize("basis", radiance.BASES)
+@pytest.mark.parametrize(
+    ("basis", "side"), [*zip(radiance.BASES, itertools.cycle(("front", "back")))]
+)
 @pytest.mark.usefixtures("rgb", "coarse")
 def test_radiance_renders_what_was_written(tmp_path, glossy, basis, side):
     """100 eyes around a lit plate.

@@ -63,7 +63,6 @@ def one_patch(patch, theta_i, fraction=0.5, collector="projected:6x8"):
 @pytest.mark.parametrize(
     ("collector", "both"),
     [
-        ("projected:6x8", True),
         ("angle:5x7", False),
         ("borders:0,20,70,90x0,10,100,360", True),
     ],
@@ -110,7 +109,7 @@ def test_density_integrates_to_one(plugin, theta_i, phi_i):
 
 @pytest.mark.parametrize(
     ("make", "theta_i", "phi_i"),
-    [(isotropic, 30, 0), (isotropic, 45, 30), (anisotropic, 50, 250)],
+    [(isotropic, 45, 30), (anisotropic, 50, 250)],
 )
 def test_samples_follow_eval(plugin, make, theta_i, phi_i):
     record = make(both=True, power=8, collector="projected:4x6")
@@ -248,7 +247,7 @@ def test_colours_are_the_records(plugin):
         plugin(record),
         half_way,
         collector="projected:1x1",
-        rays=2**20,
+        rays=2**18,
         batches=32,
         sampler="independent",
     )

@@ -169,13 +169,12 @@ def test_predictions_need_only_what_lies_around():
         assert np.abs(elsewhere.flux(*one) - truth).sum() > 0.1 * truth.sum()
 
 
-@pytest.mark.parametrize("theta_i", [30, 75])
-def test_samples_follow_the_values(theta_i, tmp_path):
+def test_samples_follow_the_values(tmp_path):
     """Also beyond the last angle, where light stays; twin: of another direction."""
     patches = gonio.subdivision("projected:24x36")
     record = record_of(patches, ANGLES, *facets_both(patches, ANGLES))
     assert len(half_vector_legs(MeasuredLobes(record))) == 2
-    check_samples(record, theta_i, 40, tmp_path)
+    check_samples(record, 75, 40, tmp_path)
 
 
 def shares(face, wi, patches):
