@@ -313,7 +313,8 @@ def _lobes(path: str, side: str) -> tuple[MeasuredLobes, Floats | None]:
             f"{path} was measured from the back, and is the front of this "
             "material: name it as back_filename if that is meant",
         )
-    for note in getattr(material, "notes", ()):
+    notes: tuple[str, ...] = getattr(material, "notes", ())
+    for note in notes:
         _warn_once(f"{path}: {note}")
     lobes = MeasuredLobes(material, _mixture(material))
     return lobes, wavelengths_nm(material.channels)
