@@ -16,7 +16,7 @@ from ..collector.directions import direction
 from ..errors import SpecimenError, checked_count, checked_number
 from ..instrument.loading import load_specimen
 from ..instrument.specimen_text import SpecimenLike
-from ..mitsuba_names import SURFACE, triangles_of
+from ..mitsuba_compat import SURFACE, triangles_of
 from ..plots.figure import finished, new_figure
 from ..settings.values import checked_period
 from ..single_precision import FEW_ROUNDINGS

@@ -17,7 +17,7 @@ from ..instrument.incidence import incident_angles
 from ..results.record import Record
 from ..settings import MeasurementSettings
 from ..transport.variants import check_unpolarised, check_variant, is_parallel
-from .execution import Surroundings, records_of
+from .execution import ExecutionContext, records_of
 
 # Workers, and threads of each.
 MAX_THREADS = 2**16
@@ -117,7 +117,7 @@ def campaign(
         threads = threads or max(1, (os.cpu_count() or 1) // executor)
     if threads is not None:
         checked_count("threads", threads, 0, MAX_THREADS)
-    where = Surroundings(executor, folder, plugins, threads, retries, progress)
+    where = ExecutionContext(executor, folder, plugins, threads, retries, progress)
     asked = MeasurementSettings.among(settings)
     if tolerance is None:
         incidents, _ = incident_angles(theta_i, phi_i, asked.incident)

@@ -39,7 +39,7 @@ logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Surroundings:
+class ExecutionContext:
     """Where and how the tasks of a campaign are done.
 
     Attributes are the arguments of :func:`~gonio_mi.campaigns.campaign.campaign` of
@@ -57,7 +57,7 @@ class Surroundings:
 def records_of(
     specimens: Mapping[str, Any],
     incidents: Sequence[tuple[float, float]],
-    where: Surroundings,
+    where: ExecutionContext,
     arguments: dict[str, Any],
     label: str | None = None,
 ) -> dict[str, Record]:
@@ -86,7 +86,7 @@ def records_of(
 def _records(
     tasks: Sequence[Task],
     folder: CampaignFolder | None,
-    where: Surroundings,
+    where: ExecutionContext,
     label: str | None,
 ) -> dict[int, Record]:
     """Records of all tasks by number: those of the folder, and the others measured."""

@@ -56,7 +56,7 @@ MAX_GROWTH = 128
 
 
 def round_rays(setup: Setup) -> int:
-    """Rays of each batch after which all of them are even for the first time."""
+    """Rays per batch that complete a low-discrepancy set."""
     if not is_joint(setup.sampler):
         return MAX_LAUNCH
     return ROUND_TRACED if traces(setup) else ROUND_PLANE

@@ -17,7 +17,7 @@ from gonio_mi.array_types import Floats
 from gonio_mi.errors import SettingError, abridged
 from gonio_mi.materials.interpolation.interpolated_bsdf import (
     InterpolatedBSDF,
-    half_vector_legs,
+    half_vector_segments,
 )
 from gonio_mi.materials.interpolation.lobes import MeasuredLobes
 from gonio_mi.plugins import bsdf_functions
@@ -66,7 +66,7 @@ class Goniometric(mi.BSDF):
     patches around suggest (constant in a Klems file). Between two polar angles the
     lobes of both *move* to the place that lies between them, and are mixed linearly in
     :math:`\sin\theta_i`, and so are reflectance and transmittance. On each of these
-    legs, and for either hemisphere on its own, they move in the way by which the
+    segments, and for either hemisphere on its own, they move in the way by which the
     record's nearest angle is better predicted from the next smaller and the next larger
     one: either by the quantiles of their light, along the plane of incidence and then
     across it, over the disk onto which the hemisphere projects; or to where the same
@@ -284,10 +284,10 @@ def _face(label: str, name: str, side: str) -> InterpolatedBSDF:
     """Face of the material in a file, in the variant's channels."""
     try:
         lobes, wavelengths = _lobes(_resolved(name), side)
-        legs = half_vector_legs(lobes)
+        segments = half_vector_segments(lobes)
         table = lobes.whole()
         del lobes  # which would be kept until the table's arrays are made
-        return InterpolatedBSDF(table, wavelengths, legs)
+        return InterpolatedBSDF(table, wavelengths, segments)
     except (ValueError, OSError) as error:
         raise type(error)(f"{label}: {error}") from None
 

@@ -14,7 +14,7 @@ from ..array_types import Flags, Floats, Integers
 from ..collector.directions import direction
 from ..results.patch_means import PatchMeans
 from ..results.record import Record
-from .interpolation.interpolated_bsdf import InterpolatedBSDF, half_vector_legs
+from .interpolation.interpolated_bsdf import InterpolatedBSDF, half_vector_segments
 from .interpolation.lobes import MeasuredLobes
 
 # Part of a tolerance that points may be spared for.
@@ -51,7 +51,7 @@ class Prediction:
         self, record: Record | PatchMeans, n_points: int, spared: float = 0
     ) -> None:
         self.lobes = MeasuredLobes(record)
-        self.half_vectors = half_vector_legs(self.lobes)
+        self.half_vectors = half_vector_segments(self.lobes)
         self.subdivision = record.subdivision
         self.n_hemispheres = record.flux_fraction.shape[-4]
         self.n_points, self.spared = n_points, spared
@@ -112,9 +112,9 @@ class Prediction:
         self, azimuths: Sequence[int], angles: Sequence[int]
     ) -> InterpolatedBSDF:
         half_vectors = [
-            replace(one, legs=(True,))
+            replace(one, segments=(True,))
             for one in self.half_vectors
-            if one.legs[angles[0]]
+            if one.segments[angles[0]]
         ]
         return InterpolatedBSDF(
             self.lobes.table(azimuths, angles), half_vectors=half_vectors

@@ -18,8 +18,8 @@ from ..results.campaign_outcome import PredictionError
 N_FIRST_AZIMUTHS = 8
 
 # Legs are not split into parts below so many degrees. What a split leaves of the error
-# of a leg: more than a fourth, since lobes change faster towards grazing incidence.
-MIN_LEG_WIDTH = 0.25
+# of a segment: more than a fourth, since lobes change faster towards grazing incidence.
+MIN_SEGMENT_WIDTH = 0.25
 ERROR_LEFT_BY_SPLIT = 1 / 2
 
 
@@ -145,7 +145,7 @@ class IncidentRings:
 
     Attributes
     ----------
-    legs : Axis
+    segments : Axis
         Between polar angles, in degrees.
     gaps : Axis
         Between azimuths of each polar angle, in sectors.
@@ -155,14 +155,14 @@ class IncidentRings:
         self, angles: Sequence[float], symmetry: AzimuthSymmetry, isotropic: bool
     ) -> None:
         self.symmetry, self.isotropic = symmetry, isotropic
-        self.legs = Axis(
+        self.segments = Axis(
             _middle_angle, ERROR_LEFT_BY_SPLIT, dict.fromkeys(_intervals(angles))
         )
         self.gaps = Axis(_middle_sector)
 
     def begin_gaps(self) -> None:
         """Give every ring the azimuths to begin with."""
-        for theta in self.legs.levels()[1:]:
+        for theta in self.segments.levels()[1:]:
             self.gaps.errors |= dict.fromkeys(_intervals(self._first_sectors(), theta))
 
     def azimuth(self, sector: float) -> float:
@@ -181,7 +181,7 @@ class IncidentRings:
 
     def directions(self) -> list[tuple[float, float]]:
         """All directions that the material is made of."""
-        return [one for theta in self.legs.levels() for one in self.ring(theta)]
+        return [one for theta in self.segments.levels() for one in self.ring(theta)]
 
     def expected(self, limit: float) -> float:
         """How many directions an error of `limit` will need, by the errors known."""
@@ -190,55 +190,59 @@ class IncidentRings:
             errors = [4 * limit if e is None else e for e in axis.errors.values()]
             return float(np.sqrt(np.maximum(np.divide(errors, limit), 1)).sum())
 
-        n_rings = 1 + parts(self.legs)
+        n_rings = 1 + parts(self.segments)
         n_azimuths = float(len(self._own(self._first_sectors())))
         if self.gaps.errors:
-            n_azimuths = parts(self.gaps) / (len(self.legs.levels()) - 1)
+            n_azimuths = parts(self.gaps) / (len(self.segments.levels()) - 1)
         return n_rings * n_azimuths
 
     def split_at(self, missed: Iterable[PredictionError]) -> bool:
         """Split what holds the directions that were missed; whether anything was.
 
-        Each leg or gap once, for the worst of them.
+        Each segment or gap once, for the worst of them.
         """
-        before = len(self.legs.errors), len(self.gaps.errors)
+        before = len(self.segments.errors), len(self.gaps.errors)
         worst = sorted(missed, key=lambda one: one.error, reverse=True)
         done: set[Interval] = set()
-        for one, (leg, gaps) in [(one, self._around(one)) for one in worst]:
-            if done & {leg, *gaps}:
+        for one, (segment, gaps) in [(one, self._around(one)) for one in worst]:
+            if done & {segment, *gaps}:
                 continue
             of_gaps = max((self.gaps.errors[gap] or 0.0 for gap in gaps), default=0.0)
-            by_angle = (self.legs.errors[leg] or 0.0) >= of_gaps
-            for split_leg in (by_angle, not by_angle):
+            by_angle = (self.segments.errors[segment] or 0.0) >= of_gaps
+            for split_segment in (by_angle, not by_angle):
                 middles: list[float | None]
-                if split_leg:
-                    middles = [self._split_leg(leg, one.error)]
+                if split_segment:
+                    middles = [self._split_segment(segment, one.error)]
                 else:
                     middles = [self.gaps.split(gap, one.error) for gap in gaps]
                 if any(middle is not None for middle in middles):
-                    done |= {leg} if split_leg else set(gaps)
+                    done |= {segment} if split_segment else set(gaps)
                     break
-        return before != (len(self.legs.errors), len(self.gaps.errors))
+        return before != (len(self.segments.errors), len(self.gaps.errors))
 
     def _around(self, one: PredictionError) -> tuple[Interval, list[Interval]]:
         """Leg that holds a direction, and the gaps of azimuth on both its ends."""
-        leg = self.legs.around(one.theta_i)
+        segment = self.segments.around(one.theta_i)
         symmetry = self.symmetry
         sector = symmetry.home(one.phi_i * symmetry.n_sectors / 360)
         sector = min(max(sector, symmetry.domain[0]), symmetry.domain[1])
-        rings = [theta for theta in (leg.low, leg.high) if self.gaps.levels(theta)]
-        return leg, [self.gaps.around(sector, theta) for theta in rings]
+        rings = [
+            theta for theta in (segment.low, segment.high) if self.gaps.levels(theta)
+        ]
+        return segment, [self.gaps.around(sector, theta) for theta in rings]
 
-    def _split_leg(self, leg: Interval, error: float) -> float | None:
-        """Split a leg; its new ring has the azimuths of both its neighbours."""
-        middle = self.legs.split(leg, error)
-        levels = {s for end in (leg.low, leg.high) for s in self.gaps.levels(end)}
+    def _split_segment(self, segment: Interval, error: float) -> float | None:
+        """Split a segment; its new ring has the azimuths of both its neighbours."""
+        middle = self.segments.split(segment, error)
+        levels = {
+            s for end in (segment.low, segment.high) for s in self.gaps.levels(end)
+        }
         if middle is not None and levels:
             for gap in _intervals(sorted(levels), middle):
                 self.gaps.errors[gap] = max(
                     self.gaps.errors[self.gaps.around((gap.low + gap.high) / 2, end)]
                     or 0.0
-                    for end in (leg.low, leg.high)
+                    for end in (segment.low, segment.high)
                     if self.gaps.levels(end)
                 )
         return middle
@@ -263,11 +267,11 @@ def _intervals(levels: Sequence[float], on: float = 0.0) -> list[Interval]:
     return [Interval(low, high, on) for low, high in itertools.pairwise(levels)]
 
 
-def _middle_angle(leg: Interval) -> float | None:
-    """Middle of a leg in degrees; None for one that is narrow enough."""
-    if leg.high - leg.low < 2 * MIN_LEG_WIDTH:
+def _middle_angle(segment: Interval) -> float | None:
+    """Middle of a segment in degrees; None for one that is narrow enough."""
+    if segment.high - segment.low < 2 * MIN_SEGMENT_WIDTH:
         return None
-    return (leg.low + leg.high) / 2
+    return (segment.low + segment.high) / 2
 
 
 def _middle_sector(gap: Interval) -> float | None:

@@ -20,7 +20,7 @@ from ..collector.hemisphere import Subdivision
 from ..progress import counted
 from ..results.patch_means import PatchMeans
 from ..results.record import Record, fractions_of
-from .interpolation.interpolated_bsdf import InterpolatedBSDF, half_vector_legs
+from .interpolation.interpolated_bsdf import InterpolatedBSDF, half_vector_segments
 from .interpolation.lobes import MeasuredLobes
 from .interpolation.lookups import seen_from
 
@@ -91,7 +91,7 @@ class Material:
         self.table = table = lobes.whole()
         self.peaks = table.grid.filled(peaks)
         self.theta_i, self.phi_i = table.grid.theta_i, table.grid.phi_i
-        self._face = InterpolatedBSDF(table, half_vectors=half_vector_legs(lobes))
+        self._face = InterpolatedBSDF(table, half_vectors=half_vector_segments(lobes))
 
     def values(self, theta_i: ArrayLike, phi_i: ArrayLike, wo: Floats) -> Floats:
         """BRDF or BTDF in 1/sr, shape ``(n, channels)``, without the `peaks`.

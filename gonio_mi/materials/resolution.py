@@ -13,7 +13,7 @@ from ..collector import EqualAngle, RingsAndSectors, Subdivision
 from ..errors import LABEL, SettingError, SpecimenError, abridged
 from ..results.prediction_error import prediction_error
 from ..results.record import Record
-from .known_directions import KnownDirections
+from .measured_directions import MeasuredDirections
 from .prediction import Prediction
 
 # By which power of their width finer patches are better, where they nearly resolve a
@@ -63,7 +63,7 @@ def checked_sectors(patches: Subdivision) -> RingsAndSectors:
 
 
 def check_resolved(
-    directions: KnownDirections, angles: Sequence[float], phi_i: float = 0.0
+    directions: MeasuredDirections, angles: Sequence[float], phi_i: float = 0.0
 ) -> None:
     """Raise SpecimenError if patches are too coarse to say what is between directions.
 
@@ -74,7 +74,7 @@ def check_resolved(
 
     Parameters
     ----------
-    directions : KnownDirections
+    directions : MeasuredDirections
     angles : sequence of float
         Of incidence in degrees, where it is looked at.
     phi_i : float
@@ -122,7 +122,7 @@ def check_resolved(
     )
 
 
-def check_peaks(directions: KnownDirections, theta_i: float) -> None:
+def check_peaks(directions: MeasuredDirections, theta_i: float) -> None:
     """Raise SpecimenError for more flux than two tolerances in unresolvable peaks.
 
     Moved by half a patch, half of it would be in other patches. Rays through geometry
@@ -131,7 +131,7 @@ def check_peaks(directions: KnownDirections, theta_i: float) -> None:
 
     Parameters
     ----------
-    directions : KnownDirections
+    directions : MeasuredDirections
     theta_i : float
         Angle of incidence in degrees, where mirrors are brightest: the largest.
     """
@@ -194,7 +194,7 @@ def _beside(flux: Floats) -> Floats:
 
 
 def _lost(
-    directions: KnownDirections,
+    directions: MeasuredDirections,
     incidents: Sequence[Incident],
     patches: Subdivision | None = None,
 ) -> tuple[float, ...]:

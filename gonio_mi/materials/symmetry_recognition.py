@@ -10,7 +10,7 @@ import numpy as np
 from ..results.azimuth_symmetry import AzimuthSymmetry, Motion, azimuth_of
 from ..results.campaign_outcome import PredictionError
 from ..results.prediction_error import prediction_error
-from .known_directions import TESTING, KnownDirections
+from .measured_directions import TESTING, MeasuredDirections
 
 logger = logging.getLogger(__name__)
 
@@ -31,13 +31,13 @@ class SymmetryRecognition:
 
     Parameters
     ----------
-    directions : KnownDirections
+    directions : MeasuredDirections
         Of them that along the normal, and `angles` at azimuth 0.
     angles : sequence of float
         Polar angles in degrees, three or more from 0 upwards.
     """
 
-    def __init__(self, directions: KnownDirections, angles: Sequence[float]) -> None:
+    def __init__(self, directions: MeasuredDirections, angles: Sequence[float]) -> None:
         self.directions = directions
         self.angles, self.looked_at = angles, angles[1:3]
         self.normal = self.directions.records[0.0, 0.0]

@@ -13,19 +13,19 @@ from typing import Any
 
 import numpy as np
 
-from ..campaigns.execution import Surroundings
+from ..campaigns.execution import ExecutionContext
 from ..errors import checked_number, warn
 from ..results.azimuth_symmetry import AzimuthSymmetry, Motion, azimuth_of
 from ..results.campaign_outcome import MAX_LOOKS, CampaignOutcome, PredictionError
 from ..results.record import Record
 from ..settings import MeasurementSettings
 from .interpolation.lobes import TooLargeError
-from .known_directions import (
+from .measured_directions import (
     CONFIRMING,
     NOISE,
     TESTING,
     EstimatorRefusedError,
-    KnownDirections,
+    MeasuredDirections,
     may_exceed,
 )
 from .refinement import IncidentRings, Interval, refined
@@ -52,8 +52,8 @@ MAX_LOCAL_MISSES = 1
 
 # What helps where directions never used go on missing the tolerance, and why.
 OUTGROWN = (
-    "further ones would outgrow memory: a collector of fewer patches, or a larger "
-    "tolerance, helps"
+    "more directions would exceed the memory: a collector of fewer patches, or a "
+    "larger tolerance, helps"
 )
 CLOSEST = "its directions are as close to each other as they may be: "
 TOLERANT = "a larger tolerance helps, another collector does not"
@@ -83,13 +83,13 @@ class WholeBsdf:
 
     Parameters
     ----------
-    directions : KnownDirections
+    directions : MeasuredDirections
         Of which none is measured yet.
     theta_max : float
         In degrees, up to where the material shall be right.
     """
 
-    def __init__(self, directions: KnownDirections, theta_max: float) -> None:
+    def __init__(self, directions: MeasuredDirections, theta_max: float) -> None:
         self.directions, self.theta_max = directions, theta_max
         self.name, self.tolerance = directions.name, directions.tolerance
         asked = MeasurementSettings.among(directions.settings)
@@ -160,7 +160,9 @@ class WholeBsdf:
         self.limit = self.tolerance * (1.0 if self.isotropic else 0.5**0.5)
         self._check()
         try:
-            refined(self.rings.legs, self.limit, self._errors_of_legs, self._check)
+            refined(
+                self.rings.segments, self.limit, self._errors_of_segments, self._check
+            )
         except TooLargeError as error:
             logger.info("%s: no more angles: %s", self.name, error)
         if not self.isotropic:
@@ -177,7 +179,7 @@ class WholeBsdf:
 
     def _check(self) -> None:
         """Raise TooLargeError if the material's table would not fit into memory."""
-        levels = self.rings.legs.levels()
+        levels = self.rings.segments.levels()
         azimuths = {phi for theta in levels[1:] for _, phi in self.rings.ring(theta)}
         azimuths |= set(self.rings.first_azimuths)
         every = {one.azimuth(phi) for phi in azimuths for one in self.symmetry.motions}
@@ -185,18 +187,18 @@ class WholeBsdf:
 
     # ------------------------------------------------------------------- predicting
 
-    def _errors_of_legs(
-        self, legs: Sequence[Interval], middles: Sequence[float]
+    def _errors_of_segments(
+        self, segments: Sequence[Interval], middles: Sequence[float]
     ) -> list[float]:
-        """Errors in the middles of legs: the largest of all first azimuths."""
+        """Errors in the middles of segments: the largest of all first azimuths."""
         self.directions.announce(self.rings.expected(self.limit) + N_UNSEEN)
         lines = self.rings.first_azimuths
-        levels = self.rings.legs.levels()
-        purpose = f"{len(legs)} of {len(levels) - 1} legs open"
+        levels = self.rings.segments.levels()
+        purpose = f"{len(segments)} of {len(levels) - 1} segments open"
         needed = [(theta, phi) for theta in [*levels, *middles] for phi in lines]
         needed = [(theta, phi if theta else 0.0) for theta, phi in needed]
         self.directions.measure(needed, purpose)
-        worst = np.zeros(len(legs))
+        worst = np.zeros(len(segments))
         for phi in lines:
             ends = [(theta, phi if theta else 0.0) for theta in levels]
             prediction = self.directions.prediction(ends)
@@ -334,7 +336,7 @@ def chosen_directions(
     specimens: Mapping[str, Any],
     tolerance: float,
     theta_max: float,
-    where: Surroundings,
+    where: ExecutionContext,
     settings: dict[str, Any],
 ) -> dict[str, Record]:
     """Records of the directions that each specimen needs, as `campaign` says.
@@ -348,7 +350,7 @@ def chosen_directions(
     materials: list[WholeBsdf] = []
     try:
         for name, specimen in specimens.items():
-            known = KnownDirections(str(name), specimen, tolerance, where, settings)
+            known = MeasuredDirections(str(name), specimen, tolerance, where, settings)
             materials.append(WholeBsdf(known, theta_max))
         return {material.name: material.measured() for material in materials}
     except KeyboardInterrupt:

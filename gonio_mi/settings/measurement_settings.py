@@ -248,8 +248,8 @@ class MeasurementSettings:
         "front",
         choice("front", "back"),
         Kind.WORD,
-        "Face that looks at the emitter: ``front`` (+z) or ``back`` (-z). Reflection "
-        "is always its side.",
+        "Side of the specimen that faces the emitter: ``front`` (+z) or ``back`` (-z). "
+        "Reflection is always its side.",
         group=LIGHT,
         metavar="front|back",
         form='{"front", "back"}',

@@ -15,7 +15,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..mitsuba_names import SURFACE
+from ..mitsuba_compat import SURFACE
 from .plane import Plane
 from .rays import Encounter
 

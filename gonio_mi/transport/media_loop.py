@@ -18,7 +18,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from ..mitsuba_names import PARTIALS
+from ..mitsuba_compat import PARTIALS
 from ..results.tally import Fate
 from .beam import Beam
 from .exits import exits_of

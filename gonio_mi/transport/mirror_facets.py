@@ -19,7 +19,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..array_types import Floats, Integers
-from ..mitsuba_names import FRAME, PARTIALS, mesh_of, triangles_of
+from ..mitsuba_compat import FRAME, PARTIALS, mesh_of, triangles_of
 from .exits import Exits
 from .rays import NEARBY, with_normal
 from .scene_objects import traversed

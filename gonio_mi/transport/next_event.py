@@ -81,7 +81,7 @@ class Deposits:
         if setup.shape[0] == 2:
             specimen = setup.specimen
             dim = specimen.closed_to_light and specimen.edges == "open"
-            self.lower = LOWER_IF_DIM if dim or specimen.seems_dark else LOWER
+            self.lower = LOWER_IF_DIM if dim or specimen.appears_opaque else LOWER
         subdivision = setup.collector.subdivision
         theta_low, theta_high, phi_low, phi_high = subdivision.cells.T
         # sin^2(theta / 2) is proportional to solid angle, and exact at the pole
@@ -158,7 +158,7 @@ class Deposits:
             i += 1
         return sound
 
-    def take_facets_off(self, ray: mi.Ray3f, active: mi.Bool) -> None:
+    def subtract_facets(self, ray: mi.Ray3f, active: mi.Bool) -> None:
         """Take off what is known: what facets send along the line of active rays."""
 
         def take(number: mi.UInt32, entered: mi.Bool) -> None:
@@ -191,7 +191,7 @@ class Deposits:
         return dr.select(counted, dr.inf, _finite(pdf))
 
     def add_exits(self, bins: mi.UInt32, exits: Exits) -> None:
-        """Count each ray where it arrives, by the part that points leave to it."""
+        """Deposit arriving rays with their MIS weight (balance heuristic)."""
         setup = self.setup
         active = self.lanes & (bins < setup.n_collected)
         if not self.scatters:  # there are no points

@@ -19,7 +19,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from ..mitsuba_names import FRAME, MINIMAL
+from ..mitsuba_compat import FRAME, MINIMAL
 
 # How far a ray starts off its surface, in units of the local coordinates: 64 ulp. Off a
 # plane 2 ulp are enough, since a hit on that plane is recognised, within this part of

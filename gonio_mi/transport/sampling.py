@@ -164,7 +164,7 @@ class Relay:
         return number < self._end
 
     def begin(self, sampler: mi.Sampler, number: mi.UInt32) -> mi.UInt32:
-        """Let `sampler` draw for the rays of such numbers; those of the ones after."""
+        """Seek the sampler to these ray indices; return the next indices."""
         if self._points is not None:
             sampler.go_to(*(dr.gather(mi.UInt32, x, number) for x in self._points))
         return number + self._step

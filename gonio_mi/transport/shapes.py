@@ -18,7 +18,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..array_types import Floats
-from ..mitsuba_names import triangles_of
+from ..mitsuba_compat import triangles_of
 from .digest import geometry_digest
 from .scene_objects import traversed
 

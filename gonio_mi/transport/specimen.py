@@ -13,7 +13,7 @@ import numpy as np
 
 from ..array_types import Integers
 from ..errors import SpecimenError, abridged, warn
-from ..mitsuba_names import MINIMAL, SURFACE
+from ..mitsuba_compat import MINIMAL, SURFACE
 from ..settings.values import Period
 from .digest import digest
 from .kernels import in_memory
@@ -199,10 +199,10 @@ class Specimen:
         """How light may pass: as BSDFs ``declared``, through ``gaps``, or ``none``."""
         if not self.closed_to_light:
             return "declared"
-        return "none" if self.plane is not None or self.seems_dark else "gaps"
+        return "none" if self.plane is not None or self.appears_opaque else "gaps"
 
     @cached_property
-    def seems_dark(self) -> bool:
+    def appears_opaque(self) -> bool:
         """Whether no surface transmits, and no ray of a few thousand finds a gap.
 
         They come from above, from all directions and all over the cell. What is

@@ -306,7 +306,7 @@ class Sums:
 
     @property
     def lacking(self) -> range:
-        """Range of levels that hold all powers, if `levels` did not; else empty."""
+        """Levels needed for what overflowed; empty if nothing did."""
         (found,) = np.nonzero(self.rare.numpy()[:LEVELS])
         if not found.size:
             return range(0)

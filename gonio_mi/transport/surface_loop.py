@@ -8,7 +8,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from ..mitsuba_names import PARTIALS
+from ..mitsuba_compat import PARTIALS
 from ..results.tally import Fate
 from .beam import Beam
 from .exits import Exits, exits_of
@@ -121,7 +121,7 @@ def trace(
     together = beam.footprint != "point"
     facets = None if deposits is None else deposits.sums.facets
     if facets is not None and not facets.once:
-        deposits.take_facets_off(flight.ray, active)
+        deposits.subtract_facets(flight.ray, active)
     while active:
         ray = flight.ray
         si = intersect(scene, ray, PARTIALS, active, (depth == 0) & together)

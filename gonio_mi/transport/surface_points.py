@@ -19,7 +19,7 @@ import numpy as np
 
 from ..array_types import Floats
 from ..errors import LABEL, SpecimenError, abridged
-from ..mitsuba_names import PARTIALS
+from ..mitsuba_compat import PARTIALS
 from ..results.estimates import MIN_EVEN_HITS, SampledEstimates
 from ..results.statistics import student_interval, student_score
 from ..results.tally import Fate, Tally
@@ -71,7 +71,7 @@ def check_splittable(setup: Setup) -> None:
     reasons = {
         "a periodic cell, all of it in a collimated beam": setup.beam.fills_cell
         and not specimen.groups,
-        "opaque surfaces without gaps": specimen.seems_dark and not specimen.media,
+        "opaque surfaces without gaps": specimen.appears_opaque and not specimen.media,
         "BSDFs without delta components": not any(
             mi.has_flag(one.bsdf().flags(), flag) for one in shapes for flag in singular
         ),

@@ -19,7 +19,7 @@ from ..transport.bsdf_trial import PluginFault
 from .conditions import Condition
 from .evidence import BIAS, MODEL, Breach, Evidence
 from .probe import Probe, changed, number_parameters
-from .samples import SLACK, Samples, is_many, unequal
+from .samples import SLACK, Samples, beyond_rounding, unequal
 
 # Mistake by the power k of which ``eval cos(theta_i)^k`` is the same with wi and wo
 # exchanged, apart from eta^2; 1 is right.
@@ -62,7 +62,7 @@ def explain_reciprocity(evidence: Evidence) -> None:
     own = [b for b in found if b.effect == MODEL]
     whole = [one for one in evidence.whole if one.condition.mode == "importance"]
     # a face of its own may be right
-    wrong = {one.condition.side for one in whole if is_many(_unexplained(one))}
+    wrong = {one.condition.side for one in whole if beyond_rounding(_unexplained(one))}
     whole = [one for one in whole if one.condition.side in wrong]
     power = _power(whole) if len(own) > 1 else None
     if power is not None:
@@ -195,7 +195,7 @@ def _power(ways: Sequence[Samples]) -> int | None:
     ):
         return None
     for power in COSINES:
-        if not any(is_many(_unexplained(samples, power)) for samples in ways):
+        if not any(beyond_rounding(_unexplained(samples, power)) for samples in ways):
             return power
     return None
 
@@ -237,7 +237,7 @@ def _is_sum(samples: Samples, power: int) -> bool:
         there, back, slack, _ = _both_ways(samples, other)
         extreme = np.where(rising, np.maximum(there, back), np.minimum(there, back))
         wrong |= unequal(there, extreme, slack) | ~np.isfinite(there + back).all(axis=1)
-    return not is_many(wrong & smooth)
+    return not beyond_rounding(wrong & smooth)
 
 
 def _is_one_law(ways: Sequence[Samples]) -> bool:

@@ -21,7 +21,7 @@ from .evidence import EFFECTS, INTERFACE, MODEL, NOISE, Evidence
 from .factors import FACTORS, explain, explain_weights, factor, ratios_of
 from .maps import FourMaps
 from .probe import numbers, vectors
-from .samples import Samples, is_many, samples_of, unequal
+from .samples import Samples, beyond_rounding, samples_of, unequal
 from .tally import groups, patch_of
 
 # Fraction of the share of the largest failure below which another is no symptom of it,
@@ -169,7 +169,7 @@ def _lobes(evidence: Evidence) -> str:
 
     def is_it(density: Floats) -> bool:
         differs = unequal(density, samples.pdf, samples.pdf_slack) & samples.smooth
-        return not is_many(differs)
+        return not beyond_rounding(differs)
 
     if not are_apart(evidence.bsdf, samples, each):
         return ""  # no component can be asked alone

@@ -14,7 +14,7 @@ from ..array_types import Flags, Floats
 from .conditions import Condition
 from .kinds import Kind, MatrixKind
 from .maps import FourMaps
-from .samples import Samples, is_many
+from .samples import Samples, beyond_rounding
 
 # What a failure does to an image, the worst first.
 BIAS = "biases images"
@@ -225,7 +225,7 @@ class Evidence:
     breaches, tests : list
     undecided : dict of str
         By property, why it could not be decided and what it would take.
-    lesser : dict of str
+    downgraded : dict of str
         By property, its effect though it does not fail: adds noise, or cost.
     remarks : dict of str
         By property, remarks on one that holds.
@@ -247,7 +247,7 @@ class Evidence:
     breaches: list[Breach] = field(default_factory=list)
     tests: list[Test] = field(default_factory=list)
     undecided: dict[str, str] = field(default_factory=dict)
-    lesser: dict[str, str] = field(default_factory=dict)
+    downgraded: dict[str, str] = field(default_factory=dict)
     remarks: dict[str, str] = field(default_factory=dict)
     declared: dict[str, str] = field(default_factory=dict)
     maps: list[FourMaps] = field(default_factory=list)
@@ -291,7 +291,7 @@ class Evidence:
         **others: Any,
     ) -> None:
         """Add a breach on how far a ratio is from 1, if many samples are `wrong`."""
-        if not is_many(wrong):
+        if not beyond_rounding(wrong):
             return
         usable = wrong & (np.abs(ratio) < MAX_RATIO)
         spread = "infinite"

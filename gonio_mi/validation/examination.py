@@ -37,7 +37,7 @@ from .checks import (
     sampling,
     weights,
 )
-from .checks.agreement import check_again, check_identities
+from .checks.consistency import check_again, check_identities
 from .conditions import Condition, Effort, sides_of
 from .cosines import explain_reciprocity
 from .diagnosis import likely_mistake

@@ -16,7 +16,7 @@ from ..array_types import Flags, Floats
 from .conditions import LitFrom, Sweep
 from .evidence import BIAS, Evidence
 from .probe import Probe, is_delta, numbers, spectral, uniform
-from .samples import Samples, is_many, ratio_of, unequal
+from .samples import Samples, beyond_rounding, ratio_of, unequal
 
 # Likely factors that are forgotten, or there once too often, and how they read.
 FACTORS = {
@@ -188,7 +188,7 @@ def _wrong(ratios: Sequence[Ratio]) -> Sequence[Ratio]:
     """Ratios that are wrong; all of them if none stands out."""
     wrong = [one for one in ratios if not _is_one(one.values)]
     # or of a few samples only
-    return wrong or [one for one in ratios if is_many(one.wrong)] or ratios
+    return wrong or [one for one in ratios if beyond_rounding(one.wrong)] or ratios
 
 
 def _is_one(values: Floats, tolerance: float = TOLERANCE) -> bool:
@@ -376,7 +376,7 @@ def _exchanged_colours(ratios: Sequence[Ratio]) -> str:
             unequal(weight, value[:, one], slack[:, one]) & ok
             for one in ([0, 1, 2], order)
         )
-        if is_many(same) and not is_many(other):
+        if beyond_rounding(same) and not beyond_rounding(other):
             return words
     return ""
 

@@ -75,7 +75,7 @@ class PatchIntegrals:
 
 
 @dataclass(frozen=True)
-class Due:
+class Expected:
     """What is due in each patch.
 
     Attributes
@@ -104,10 +104,12 @@ class Due:
     least: float
 
     @staticmethod
-    def of(found: list[PatchIntegrals], least: float) -> Due:
+    def of(found: list[PatchIntegrals], least: float) -> Expected:
         """Sort the integrals of :func:`_finite_values`."""
         used, damped, squares, cubes, unreached, unused, *channels = found
-        return Due(used, damped, squares, cubes, unreached, unused, channels, least)
+        return Expected(
+            used, damped, squares, cubes, unreached, unused, channels, least
+        )
 
 
 def integrals(
@@ -115,7 +117,7 @@ def integrals(
     subdivision: RingsAndSectors,
     totals: PatchTotals,
     limits: Floats,
-) -> Due:
+) -> Expected:
     """Integrals of ``pdf``, damped weights, and of each channel of ``eval``.
 
     Parameters
@@ -129,7 +131,7 @@ def integrals(
 
     Returns
     -------
-    Due
+    Expected
 
     Raises
     ------
@@ -147,7 +149,7 @@ def integrals(
 
 def _lattice(
     probe: Probe, subdivision: RingsAndSectors, totals: PatchTotals, limits: Floats
-) -> Due | None:
+) -> Expected | None:
     """Integrals by shifted lattices; None if they would need too many points."""
     m = 2 * subdivision.n_patches
     means: Any = None
@@ -182,7 +184,7 @@ def _lattice(
             values = _lattice_values(probe, subdivision, limits, patches, level, 1)
             means[patches] = values.mean(axis=2) * area[patches]
     # how well the sum is known, it says itself
-    return Due.of(_mean_integrals(means), least)
+    return Expected.of(_mean_integrals(means), least)
 
 
 def _rough(means: Floats, totals: PatchTotals, limits: Floats) -> Flags:
@@ -276,7 +278,7 @@ def _points(
 
 
 def _finite_values(probe: Probe, wo: mi.Vector3f, limit: mi.Float) -> list[mi.Float]:
-    """Values as of :class:`Due`; negative ones and NaN are judged elsewhere."""
+    """Values as of :class:`Expected`; negative ones and NaN are judged elsewhere."""
     value, pdf = probe.eval_and_pdf(wo)
     pdf, *channels = (
         dr.select(dr.isfinite(x), dr.maximum(x, 0.0), 0.0) for x in (pdf, *value)
@@ -295,7 +297,7 @@ def _finite_values(probe: Probe, wo: mi.Vector3f, limit: mi.Float) -> list[mi.Fl
 
 def _adaptive(
     probe: Probe, subdivision: RingsAndSectors, totals: PatchTotals, limits: Floats
-) -> Due:
+) -> Expected:
     """Integrals by cells that are split until that changes little."""
     condition = probe.condition
     found = integrate(
@@ -313,7 +315,7 @@ def _adaptive(
         PatchIntegrals(flux[:, c], error[:, c], nothing, float(error[:, c].sum()))
         for c in range(flux.shape[1])
     ]
-    return Due.of(several, np.inf)
+    return Expected.of(several, np.inf)
 
 
 def _most_evaluations(totals: PatchTotals) -> int:
@@ -322,7 +324,7 @@ def _most_evaluations(totals: PatchTotals) -> int:
 
 
 class _Integrand:
-    """What :func:`integrate` takes for a BSDF, with the channels of :class:`Due`."""
+    """What :func:`integrate` takes for a BSDF, with channels of :class:`Expected`."""
 
     def __init__(
         self, probe: Probe, most: int, subdivision: RingsAndSectors, limits: Floats

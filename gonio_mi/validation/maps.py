@@ -19,7 +19,7 @@ from ..collector import RingsAndSectors
 from ..errors import SpecimenError
 from ..results.statistics import two_sided_score
 from .conditions import Condition
-from .integrals import Due, PatchIntegrals, integrals
+from .integrals import Expected, PatchIntegrals, integrals
 from .probe import Probe
 from .samples import rounding
 from .tally import SMALL_TERM, Damping, PatchTotals, batch_of, groups, patch_totals
@@ -117,7 +117,7 @@ class FourMaps:
     subdivision : RingsAndSectors
     totals : PatchTotals
         Of samples; see there for the order of patches.
-    due : Due
+    due : Expected
         Integrals of ``pdf``, of damped weights, and of ``eval``.
     damping : Damping
         Of heavy weights.
@@ -128,7 +128,7 @@ class FourMaps:
     condition: Condition
     subdivision: RingsAndSectors
     totals: PatchTotals
-    due: Due
+    due: Expected
     damping: Damping
     pdf_rounding: float
     eval_rounding: float

@@ -22,7 +22,7 @@ from .checks import (
     sampling,
     weights,
 )
-from .checks.agreement import check_again, check_identities
+from .checks.consistency import check_again, check_identities
 from .checks.reciprocity import ratio_text
 from .conditions import Condition, Effort, sides_of
 from .evidence import Evidence
@@ -30,7 +30,7 @@ from .integrals import SUM_ERROR
 from .kinds import Kind
 from .maps import FourMaps, four_maps
 from .probe import Probe, numbers, vectors
-from .samples import Samples, is_many, samples_of, unequal
+from .samples import Samples, beyond_rounding, samples_of, unequal
 
 # Directions of light that are asked: off all axes, on them, and grazing to a plane
 # that no phase function knows of; every other one in a frame that is turned.
@@ -259,7 +259,7 @@ def _check_reciprocity(evidence: Evidence, samples: Samples) -> None:
     there, back = samples.eval * areas[0], samples.reverse * areas[1]
     slack = samples.eval_slack * areas[0] + samples.reverse_slack * areas[1]
     wrong = unequal(there, back, slack) & usable
-    if is_many(wrong):
+    if beyond_rounding(wrong):
         function, what, kind = "eval", "`eval` is", Kind.SYMMETRY
         if _is_of_microflakes(evidence.bsdf):
             function, kind = "eval or projected_area", Kind.SYMMETRY_OF_MICROFLAKES

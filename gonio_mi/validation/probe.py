@@ -113,7 +113,7 @@ class Probe:
     def eval_and_pdf(self, wo: mi.Vector3f) -> tuple[mi.Spectrum, mi.Float]:
         """Answers of ``eval`` and of ``pdf`` from one kernel, which shares work."""
         answers = [self._asked(name, wo) for name in ("eval", "pdf")]
-        with blamed("eval"):
+        with as_plugin_fault("eval"):
             dr.eval(answers)
         return self._pair(("eval", "pdf"), answers, self._width(None, wo))
 
@@ -138,7 +138,7 @@ class Probe:
 
     def of_surface(self, function: str) -> Floats:
         """Answer of a function that takes no direction wo; shape ``(channels,)``."""
-        with blamed(function):
+        with as_plugin_fault(function):
             answer = getattr(self.bsdf, function)(self.interaction(), True)
         return spectral(checked_answer(function, answer, 1, mi.Spectrum), 1)[0]
 
@@ -154,7 +154,7 @@ class Probe:
         """
         answer = self._asked(function, *arguments, **options)
         joint = function == "eval_pdf_sample" and isinstance(answer, (tuple, list))
-        with blamed(function):
+        with as_plugin_fault(function):
             for part in (answer[:2], answer[2:]) if joint else (answer,):
                 dr.eval(part)
         return answer
@@ -180,7 +180,7 @@ class Probe:
         dr.make_opaque(wi, uv, nm, arguments)
         # a plugin may change its copies in place: narrow its mask, or flip a direction
         copies = [type(one)(one) for one in (*arguments, active)]
-        with blamed(function):
+        with as_plugin_fault(function):
             method, si = getattr(self.bsdf, function), self.interaction(wi)
             si.uv, si.wavelengths = uv, nm
             return method(ctx or self.ctx, si, *copies)
@@ -195,7 +195,7 @@ class Probe:
 
 
 @contextlib.contextmanager
-def blamed(function: str) -> Iterator[None]:
+def as_plugin_fault(function: str) -> Iterator[None]:
     """Raise whatever goes wrong in the block as a fault of that plugin function."""
     try:
         yield
@@ -216,7 +216,7 @@ def blamed(function: str) -> Iterator[None]:
 
 def traversed(bsdf: mi.BSDF) -> Any:
     """Parameters of a BSDF; raises PluginFault if the plugin does."""
-    with blamed("traverse"):
+    with as_plugin_fault("traverse"):
         return mi.traverse(bsdf)
 
 
@@ -252,7 +252,7 @@ def update(bsdf: mi.BSDF, names: Iterable[str]) -> None:
     params = traversed(bsdf)
     for name in names:
         params.set_dirty(name)
-    with blamed("parameters_changed"):
+    with as_plugin_fault("parameters_changed"):
         params.update()
 
 
@@ -261,7 +261,7 @@ def assign(params: Any, values: Mapping[str, Any]) -> None:
     for name, value in values.items():
         params[name] = value
     if values:
-        with blamed("parameters_changed"):
+        with as_plugin_fault("parameters_changed"):
             params.update()
 
 

@@ -68,7 +68,7 @@ def ratio_of(above: Floats, below: Floats) -> Floats:
     return np.take_along_axis(ratio, worst[:, None], axis=1)[:, 0]
 
 
-def is_many(mask: Flags) -> bool:
+def beyond_rounding(mask: Flags) -> bool:
     """Whether the mask has more samples than rounding may spoil."""
     return mask.sum() > max(2, SPOILED * len(mask))
 

@@ -384,17 +384,17 @@ def _property(evidence: Evidence, name: str, level: float, allowed: bool) -> Pro
         )
     if name in evidence.declared:
         return Property(name, LACKS, evidence.declared[name], p_value=p_value)
-    lesser = evidence.lesser.get(name)
+    downgraded = evidence.downgraded.get(name)
     if name in evidence.undecided:
         text = evidence.undecided[name]
-        return Property(name, UNDECIDED, text, p_value=p_value, effect=lesser)
+        return Property(name, UNDECIDED, text, p_value=p_value, effect=downgraded)
     text, near = evidence.remarks.get(name, ""), ""
     if smallest is not None:
         least = f"smallest p of {len(tests)} tests {smallest:.2g}"
         text = f"{text}; {least}" if text else least
         if smallest < MAX_NEAR * level:
             near = f"p = {smallest:.2g}, fails below {level:.2g}"
-    return Property(name, HOLDS, text, p_value=p_value, effect=lesser, near=near)
+    return Property(name, HOLDS, text, p_value=p_value, effect=downgraded, near=near)
 
 
 def _worst(beyond: Sequence[Test]) -> Test:

@@ -15,9 +15,9 @@ import mitsuba as mi
 import numpy as np
 
 from gonio_mi.campaigns.campaign import campaign
-from gonio_mi.campaigns.execution import Surroundings, records_of
+from gonio_mi.campaigns.execution import ExecutionContext, records_of
 from gonio_mi.errors import SpecimenError
-from gonio_mi.materials.known_directions import CONFIRMING, NOISE, may_exceed
+from gonio_mi.materials.measured_directions import CONFIRMING, NOISE, may_exceed
 from gonio_mi.materials.prediction import Prediction
 from gonio_mi.results.campaign_outcome import PredictionError
 from gonio_mi.results.prediction_error import prediction_error
@@ -195,7 +195,9 @@ def _measured(
     if own["rel_err"] is None:
         own["noise"] = noise * chosen.settings["campaign"]["tolerance"]
     settings = own | {"collector": chosen.subdivision} | case.settings
-    return records_of({"it": case.specimen}, incidents, Surroundings(), settings)["it"]
+    return records_of({"it": case.specimen}, incidents, ExecutionContext(), settings)[
+        "it"
+    ]
 
 
 def _errors(record: Record, unseen: Record, tolerance: float) -> list[PredictionError]:

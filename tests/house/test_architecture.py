@@ -21,7 +21,7 @@ CORE = (
     "annexes",
     "progress",
     "single_precision",
-    "mitsuba_names",
+    "mitsuba_compat",
     "threads",
     "collector",
     "settings",

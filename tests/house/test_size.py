@@ -10,8 +10,27 @@ from pathlib import Path
 import lines
 
 # Lines of code: none blank, no comment, no docstring. `python tests/tools/lines.py`.
-BUDGET = {}
-CORE, WHOLE = 0, 0
+BUDGET = {
+    "collector": 770,
+    "settings": 650,
+    "results": 2620,
+    "files": 1470,
+    "surfaces": 720,
+    "plots": 830,
+    "transport": 4120,
+    "quadrature": 780,
+    "instrument": 1690,
+    "campaigns": 620,
+    "plugins": 1070,
+    "reports": 250,
+    "commands": 1200,
+    "entrance": 750,
+    "materials": 2660,
+    "exchange": 3830,
+    "analysis": 4040,
+    "validation": 8870,
+}
+CORE, WHOLE = 17500, 36870
 HANDBOOK = Path(__file__).parents[2] / "notebooks" / "how_it_is_built.md"
 
 

@@ -13,11 +13,11 @@ from synthetic import facet_lobes
 
 import gonio_mi as gonio
 from gonio_mi.campaigns import execution
-from gonio_mi.campaigns.execution import Surroundings
-from gonio_mi.materials import known_directions, whole_bsdf
+from gonio_mi.campaigns.execution import ExecutionContext
+from gonio_mi.materials import measured_directions, whole_bsdf
 from gonio_mi.materials.interpolation.incident_grid import IncidentGrid
 from gonio_mi.materials.interpolation.lobes import MeasuredLobes
-from gonio_mi.materials.known_directions import NOISE, KnownDirections
+from gonio_mi.materials.measured_directions import NOISE, MeasuredDirections
 from gonio_mi.materials.symmetry_recognition import SymmetryRecognition
 from gonio_mi.results.azimuth_symmetry import AzimuthSymmetry, sources
 from gonio_mi.results.campaign_outcome import CampaignOutcome
@@ -31,11 +31,11 @@ ANGLES = (0.0, 25.0, 50.0, 75.0)
 WHOLE = 2.0**-30
 
 
-class Facets(KnownDirections):
+class Facets(MeasuredDirections):
     """Directions of facets that are computed, not measured."""
 
     def __init__(self, tolerance, *surfaces):
-        super().__init__("facets", None, tolerance, Surroundings(), {})
+        super().__init__("facets", None, tolerance, ExecutionContext(), {})
         self.surfaces = surfaces
         self.measure([(theta, 0.0) for theta in ANGLES], "")
 
@@ -177,7 +177,9 @@ def profile(heights):
 def test_grooves_are_symmetric_and_blazed_ones_only_along(heights, turns):
     """Sampled, with noise of a quarter of the tolerance."""
     how = {"collector": "angle:6x16", "estimator": "weighted", "period": "box"}
-    directions = KnownDirections("it", profile(heights), 0.1, Surroundings(), how)
+    directions = MeasuredDirections(
+        "it", profile(heights), 0.1, ExecutionContext(), how
+    )
     directions.measure([(theta, 0.0) for theta in ANGLES], "")
     found = SymmetryRecognition(directions, ANGLES)
     assert not found.is_isotropic()
@@ -403,7 +405,7 @@ def remembered(records, monkeypatch):
             )
         return records[asked]
 
-    monkeypatch.setattr(known_directions, "records_of", records_of)
+    monkeypatch.setattr(measured_directions, "records_of", records_of)
 
 
 @pytest.mark.usefixtures("mono", "remembered")

@@ -21,8 +21,8 @@ from scipy import special
 
 import gonio_mi as gonio
 from gonio_mi.campaigns import campaign, tasks
-from gonio_mi.campaigns.execution import Surroundings
-from gonio_mi.materials import known_directions, resolution, whole_bsdf
+from gonio_mi.campaigns.execution import ExecutionContext
+from gonio_mi.materials import measured_directions, resolution, whole_bsdf
 from gonio_mi.materials.interpolation import lobes
 from gonio_mi.materials.interpolation.half_vectors import gradients
 from gonio_mi.materials.interpolation.lobes import (
@@ -30,10 +30,10 @@ from gonio_mi.materials.interpolation.lobes import (
     TooLargeError,
     check_table,
 )
-from gonio_mi.materials.known_directions import (
+from gonio_mi.materials.measured_directions import (
     HIDDEN_AT_MOST,
     HIDDEN_ON_AVERAGE,
-    KnownDirections,
+    MeasuredDirections,
 )
 from gonio_mi.materials.prediction import Prediction
 from gonio_mi.materials.refinement import Axis, IncidentRings, Interval, refined
@@ -227,7 +227,7 @@ def test_what_noise_hides_is_expected_too(noise, batches):
     record = counted(lobe(60), 2000, batches)
     record = replace(record, asked=replace(record.asked, noise=noise))
     shape = record.flux_fraction.shape
-    known = KnownDirections("counted", None, 0.1, Surroundings(), {})
+    known = MeasuredDirections("counted", None, 0.1, ExecutionContext(), {})
     known.records[30.0, 0.0] = record
     assert expected_noise(record) > 1e-3  # the one that was asked for counts, or this
     for wrong, share in ((lobe(63), 1), (0.9 * lobe(60), 0)):
@@ -412,7 +412,7 @@ def test_ctrl_c_without_a_folder_makes_one(monkeypatch, tmp_path):
     """That the same call carries on from; of two specimens the first is whole in it."""
     plates = {name: {"type": "diffuse"} for name in "ab"}
     how = {"tolerance": 0.3, "collector": "projected:4x12"}
-    measure, calls = known_directions.records_of, []
+    measure, calls = measured_directions.records_of, []
 
     def counting(specimens, *asked):
         calls.append(*specimens)
@@ -420,7 +420,7 @@ def test_ctrl_c_without_a_folder_makes_one(monkeypatch, tmp_path):
             raise KeyboardInterrupt
         return measure(specimens, *asked)
 
-    monkeypatch.setattr(known_directions, "records_of", counting)
+    monkeypatch.setattr(measured_directions, "records_of", counting)
     monkeypatch.setattr(campaign.tempfile, "mkdtemp", lambda **_: str(tmp_path))
     whole = gonio.campaign({"a": plates["a"]}, **how)["a"]
     rounds = calls.count("a")
@@ -441,7 +441,7 @@ def test_ctrl_c_without_a_folder_makes_one(monkeypatch, tmp_path):
 
 def plate():
     """Directions of a diffuse plate, of which none is measured yet."""
-    return KnownDirections("plate", {"type": "diffuse"}, 0.1, Surroundings(), {})
+    return MeasuredDirections("plate", {"type": "diffuse"}, 0.1, ExecutionContext(), {})
 
 
 @pytest.mark.usefixtures("mono")
@@ -517,7 +517,7 @@ def test_a_campaign_ends_with_the_table_that_fits(monkeypatch, tmp_path):
 
     full = size(material())
     monkeypatch.setattr(lobes, "MAX_BYTES", 0.6 * full)
-    with pytest.warns(RuntimeWarning, match="further ones would outgrow memory"):
+    with pytest.warns(RuntimeWarning, match="more directions would exceed the memory"):
         part = material()
     assert size(part) <= 0.6 * full
     assert part.settings["campaign"]["within"] < 0.95
@@ -531,7 +531,7 @@ def test_a_campaign_ends_with_the_table_that_fits(monkeypatch, tmp_path):
 def test_noisy_directions_are_measured_again(estimator):
     """Once, and all rays count; twin: integrals have no noise, and are kept."""
     how = {"collector": "projected:6x16", "estimator": estimator}
-    known = KnownDirections("metal", CONDUCTOR, 0.02, Surroundings(), how)
+    known = MeasuredDirections("metal", CONDUCTOR, 0.02, ExecutionContext(), how)
     incident, found = (30.0, 0.0), []
     for noise in (1 / 2, 1 / 4, 1 / 4, 1 / 2):
         known.measure([incident], "again", noise)
@@ -548,14 +548,14 @@ def test_noisy_directions_are_measured_again(estimator):
 @pytest.mark.usefixtures("mono")
 def test_rays_are_taken_where_a_late_integral_is_refused(monkeypatch):
     """At directions never used, when all others are known; nothing is mixed."""
-    measure = known_directions.records_of
+    measure = measured_directions.records_of
 
     def refusing(specimens, incidents, where, settings, said=None):
         if settings["estimator"] == "quadrature" and "random tests" in (said or ""):
             raise gonio.SpecimenError("it does not converge")
         return measure(specimens, incidents, where, settings, said)
 
-    monkeypatch.setattr(known_directions, "records_of", refusing)
+    monkeypatch.setattr(measured_directions, "records_of", refusing)
     how = {"tolerance": 0.3, "collector": "projected:4x12"}
     record = gonio.campaign({"plate": {"type": "diffuse"}}, **how)["plate"]
     assert record.settings["estimator"] == "weighted"
@@ -591,7 +591,7 @@ def test_a_name_that_is_a_path_stays_in_the_folder(monkeypatch, tmp_path):
         folders.append(where.folder.parent)
         raise RuntimeError("enough of it")
 
-    monkeypatch.setattr(known_directions, "records_of", asked)
+    monkeypatch.setattr(measured_directions, "records_of", asked)
     names = [str(tmp_path / "plate.xml"), "../plate", "plate", "..", "x:y", "x_y"]
     for name in names:
         with pytest.raises(RuntimeError, match="enough of it"):
@@ -607,8 +607,8 @@ def test_samples_that_contradict_integrals_are_told():
 
     def checked(tolerance, name="eval_five_percent_less", **more):
         settings = {"collector": "projected:6x8"} | more
-        where = Surroundings()
-        known = KnownDirections("x", {"type": name}, tolerance, where, settings)
+        where = ExecutionContext()
+        known = MeasuredDirections("x", {"type": name}, tolerance, where, settings)
         known.measure([(30.0, 0.0)], "one")
         known.check_functions((30.0, 0.0))
         return known.records[30.0, 0.0]
@@ -657,15 +657,15 @@ def test_spiky_weights_contradict_nothing(lost, monkeypatch):
     mi.register_bsdf("diffusely_sampled", DiffuselySampled)
     settings = {"collector": "angle:30x60", "sampler": "independent", "seed": 3}
     bsdf = {"type": "diffusely_sampled"}
-    known = KnownDirections("x", bsdf, 0.001, Surroundings(), settings)
-    measure, sent = known_directions.records_of, []
+    known = MeasuredDirections("x", bsdf, 0.001, ExecutionContext(), settings)
+    measure, sent = measured_directions.records_of, []
 
     def counted(*asked):
         found = measure(*asked)
         sent.append(found["x"].ledger.emitted)
         return found
 
-    monkeypatch.setattr(known_directions, "records_of", counted)
+    monkeypatch.setattr(measured_directions, "records_of", counted)
     known.measure([(27.0, 0.0)], "one")
     if lost:
         with pytest.raises(gonio.SpecimenError, match=r"eval\(\) of x disagree"):
@@ -692,13 +692,13 @@ def test_patches_that_are_too_coarse_are_told_at_once():
 @pytest.fixture
 def looked(monkeypatch):
     """Collectors that are looked at, and in how many directions."""
-    found, measure = [], known_directions.records_of
+    found, measure = [], measured_directions.records_of
 
     def counted(specimens, incidents, where, settings, *more):
         found.append((str(settings.get("collector")), len(incidents)))
         return measure(specimens, incidents, where, settings, *more)
 
-    monkeypatch.setattr(known_directions, "records_of", counted)
+    monkeypatch.setattr(measured_directions, "records_of", counted)
     return found
 
 
@@ -745,7 +745,7 @@ def test_a_mirror_peak_beside_scattered_light_is_told_at_once(looked, theta_max)
     p = (np.tan(theta - inside) / np.tan(theta + inside)) ** 2
     reflected = (s + p) / 2
     low, high = (
-        KnownDirections("glass", glass, n * reflected, Surroundings(), {})
+        MeasuredDirections("glass", glass, n * reflected, ExecutionContext(), {})
         for n in (0.4, 0.6)
     )
     for known in (low, high):
@@ -820,7 +820,7 @@ def test_hours_are_announced(monkeypatch):
     how = {"tolerance": 0.3, "collector": "projected:4x12", "estimator": "weighted"}
     plate = {"plate": {"type": "diffuse"}}
     gonio.campaign(plate, **how)
-    monkeypatch.setattr(known_directions, "MIN_ANNOUNCED", 0)
+    monkeypatch.setattr(measured_directions, "MIN_ANNOUNCED", 0)
     with pytest.warns(RuntimeWarning, match=r"took \d+ s; at least some \d+ more are"):
         gonio.campaign(plate, **how)
 

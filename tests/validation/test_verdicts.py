@@ -345,7 +345,7 @@ def test_time_of_a_ray_is_a_ratio_in_turns(ns, told, monkeypatch):
         f"{ns / 1_000:.2g} times as long as those of `diffuse`"
         in (evidence.remarks["cost"])
     )
-    assert ("cost" in evidence.lesser) == told
+    assert ("cost" in evidence.downgraded) == told
 
 
 @pytest.mark.usefixtures("plugins")

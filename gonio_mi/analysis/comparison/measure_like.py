@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from ...array_types import Flags
-from ...campaigns.execution import Surroundings, records_of
+from ...campaigns.execution import ExecutionContext, records_of
 from ...campaigns.measure import measure_whole
 from ...collector.apertures import Apertures, disjoint_groups, is_above
 from ...collector.directions import direction
@@ -217,7 +217,7 @@ def _stack(
 ) -> Record:
     """Stack of incident directions, which share launches, tasks or workers."""
     executor, folder = settings.get("executor"), settings.get("folder")
-    where = Surroundings(executor, folder, progress=progress)
+    where = ExecutionContext(executor, folder, progress=progress)
     settings = {k: v for k, v in settings.items() if k not in ("executor", "folder")}
     return records_of({"specimen": specimen}, incidents, where, settings)["specimen"]
 

@@ -1,6 +1,6 @@
 """``gonio-mi bsdf``: write the BSDF file of a window layer, blind or film.
 
-Measure all that a Radiance BSDF file says of a specimen, and write it: reflection and
+Measure everything that a Radiance BSDF file contains, and write it: reflection and
 transmission of both sides, each incident patch averaged over the patch, in the file's
 own patches; of several wavelengths, visible and solar light. The specimen's face to
 +z, the front, looks into the room, and its +y is up.

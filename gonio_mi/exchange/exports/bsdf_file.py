@@ -53,7 +53,7 @@ def bsdf(
     folder: str | PathLike[str] | None = None,
     **settings: Any,
 ) -> dict[str, Record]:
-    """Measure all that a Radiance BSDF file says of a specimen, and write it.
+    """Measure everything that a Radiance BSDF file contains, and write it.
 
     Light fills each incident patch of the file and is collected in the file's own
     patches, so that nothing is resampled: both sides, reflection and transmission. The

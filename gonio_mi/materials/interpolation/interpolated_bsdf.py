@@ -33,7 +33,7 @@ class InterpolatedBSDF:
     wavelengths : sequence of float, optional
         Of the table's channels in nm, for spectral variants.
     half_vectors : sequence of HalfVectorLegs, optional
-        Of :class:`.InterpolatedLobes`, as :func:`.half_vector_legs` chooses them.
+        Of :class:`.InterpolatedLobes`, as :func:`.half_vector_segments` chooses them.
     """
 
     def __init__(
@@ -115,7 +115,7 @@ class InterpolatedBSDF:
         return value, total, wanted
 
     def _fluxes(self, place: Place, hemisphere: int) -> tuple[mi.Float64, mi.Float64]:
-        """Light that both ends of the leg contribute to a hemisphere."""
+        """Light that both ends of the segment contribute to a hemisphere."""
         rows = [row * self.n_hemispheres + hemisphere for row in place.rows]
         low, high = (read(self.flux, row) for row in rows)
         return place.weight * (1 - place.t) * low, place.weight * place.t * high
@@ -176,13 +176,13 @@ class InterpolatedBSDF:
         if not choices:
             return mi.Vector3f(0)
         left = mi.Float64(sample1) * sum(flux for *_, flux in choices)
-        azimuth = leg = low = high = hemisphere = mi.UInt32(0)
+        azimuth = segment = low = high = hemisphere = mi.UInt32(0)
         end = past = mi.Float64(0)
         for place, own_end, number, flux in choices:
             # one without light is never picked, however `left` is rounded
             this = (left >= 0) & (flux > 0)
             azimuth = dr.select(this, place.azimuth, azimuth)
-            leg = dr.select(this, place.leg, leg)
+            segment = dr.select(this, place.segment, segment)
             low = dr.select(this, place.rows[0], low)
             high = dr.select(this, place.rows[1], high)
             hemisphere = dr.select(this, number, hemisphere)
@@ -191,7 +191,7 @@ class InterpolatedBSDF:
             left -= flux
         first = choices[0][0]  # both have the same polar angle
         rows = low, high
-        place = Place(1, azimuth, leg, rows, first.t, past, first.z_i, first.ends)
+        place = Place(1, azimuth, segment, rows, first.t, past, first.z_i, first.ends)
         point = self.lobes.drawn(place, hemisphere, end, sample2)
         return towards(point, phi_i, hemisphere == 0)
 
@@ -209,11 +209,11 @@ N_POINTS = 4
 INDEX_MARGIN, INDEX_OPTIONS = 0.05, {"xatol": 1e-3}
 
 
-def half_vector_legs(lobes: MeasuredLobes) -> list[HalfVectorLegs]:
+def half_vector_segments(lobes: MeasuredLobes) -> list[HalfVectorLegs]:
     """How lobes move between polar angles, as a record's own directions say.
 
-    On a leg by quantiles (:class:`.QuantileTransport`), or with micro-normals that stay
-    where these predict the nearest record better, as a camera sees it, from those of
+    On a segment by quantiles (:class:`.QuantileTransport`), or with micro-normals that
+    stay where these predict the nearest record better, as a camera sees it, from those of
     the next smaller and the next larger angle.
     """
     n_angles = len(lobes.grid.theta_i)
@@ -227,28 +227,28 @@ def half_vector_legs(lobes: MeasuredLobes) -> list[HalfVectorLegs]:
         if hemisphere and eta is None:
             continue
         by_normals = [HalfVectorLegs(hemisphere, eta, (True,))]
-        legs = _better(
+        segments = _better(
             angles,
             [one.error(hemisphere, []) for one in trials],
             [one.error(hemisphere, by_normals) for one in trials],
         )
-        found.append(HalfVectorLegs(hemisphere, eta, legs))
-    return [one for one in found if any(one.legs)]
+        found.append(HalfVectorLegs(hemisphere, eta, segments))
+    return [one for one in found if any(one.segments)]
 
 
 def _better(
     angles: Integers, by_quantiles: Sequence[float], by_normals: Sequence[float]
 ) -> tuple[bool, ...]:
-    """On which legs micro-normals are better, where records nearest to it are tried.
+    """On which segments micro-normals are better, where nearest records are tried.
 
     `angles` are the numbers of these records' polar angles.
     """
     gains = np.subtract(by_quantiles, by_normals)
-    legs = []
-    for leg in range(angles.max() + 1):
-        distance = np.abs(angles - leg - 0.5)
-        legs.append(bool(gains[distance == distance.min()].sum() > 0))
-    return tuple(legs)
+    segments = []
+    for segment in range(angles.max() + 1):
+        distance = np.abs(angles - segment - 0.5)
+        segments.append(bool(gains[distance == distance.min()].sum() > 0))
+    return tuple(segments)
 
 
 def _index(lobes: MeasuredLobes, trials: Sequence[_Trial]) -> float | None:

@@ -30,9 +30,9 @@ from .lookups import (
 
 @dataclass(frozen=True)
 class _Pieces:
-    """Pieces of one coordinate, which points of a leg move with.
+    """Pieces of one coordinate, which points of a segment move with.
 
-    At both ends of the leg: where they begin, and how wide they are per flux.
+    At both ends of the segment: where they begin, and how wide they are per flux.
     """
 
     begins: Sequence[mi.Float64]
@@ -42,7 +42,7 @@ class _Pieces:
     def find(
         self, row: mi.UInt32, coordinate: mi.Float64, start: mi.Float64
     ) -> _OnPiece:
-        """The piece of a row on which a point is at `start` of the leg."""
+        """The piece of a row on which a point is at `start` of the segment."""
         first = row * self.n
         piece = last(
             self.n, lambda i: self._at(self.begins, first + i, start) <= coordinate
@@ -53,7 +53,7 @@ class _Pieces:
         return _OnPiece(index, fraction, slope)
 
     def moved(self, on: _OnPiece, to: mi.Float64) -> tuple[mi.Float64, mi.Float64]:
-        """Coordinate of the point at `to` of the leg, and the stretch of its piece."""
+        """Coordinate of the point at `to` of the segment, and its piece's stretch."""
         slope = self._at(self.slopes, on.index, to)
         begin = self._at(self.begins, on.index, to)
         return begin + on.fraction * slope, slope / on.slope
@@ -86,13 +86,13 @@ class QuantileTransport:
     """
 
     def __init__(self, table: LobeTable) -> None:
-        legs = table.legs
-        self.n_hemispheres, n = legs.strips.shape[3:]
+        segments = table.segments
+        self.n_hemispheres, n = segments.strips.shape[3:]
         self.strips, self.cells = (
             _Pieces([doubles(end) for end in a], [doubles(end) for end in b], n)
             for a, b in (
-                (legs.strips, legs.strip_slopes),
-                (legs.cells, legs.cell_slopes),
+                (segments.strips, segments.strip_slopes),
+                (segments.cells, segments.cell_slopes),
             )
         )
 
@@ -104,11 +104,11 @@ class QuantileTransport:
         start: mi.Float64,
         ends: Sequence[mi.Float64 | int],
     ) -> list[tuple[DiskPoint, mi.Float64]]:
-        """Where a point at `start` of the leg is at each of `ends`.
+        """Where a point at `start` of the segment is at each of `ends`.
 
         Each with the stretch of areas.
         """
-        row = place.leg * self.n_hemispheres + hemisphere
+        row = place.segment * self.n_hemispheres + hemisphere
         strip = self.strips.find(row, point.x, start)
         cell = self.cells.find(strip.index, point.v, start)
         found = []
@@ -133,13 +133,13 @@ class HalfVectorLegs:
     hemisphere : {0, 1}
     eta : float or None
         Refractive index of transmission.
-    legs : tuple of bool
-        On which of the legs of each azimuth.
+    segments : tuple of bool
+        On which of the segments of each azimuth.
     """
 
     hemisphere: int
     eta: float | None
-    legs: tuple[bool, ...]
+    segments: tuple[bool, ...]
 
 
 class HalfVectorTransport:
@@ -161,16 +161,16 @@ class HalfVectorTransport:
             (one.hemisphere, one.eta and dr.opaque(mi.Float64, one.eta))
             for one in half_vectors
         ]
-        self.legs = [mi.Bool(list(one.legs)) for one in half_vectors]
+        self.segments = [mi.Bool(list(one.segments)) for one in half_vectors]
 
     def move(self, place: Place, hemisphere: mi.UInt32) -> mi.Bool:
         """Whether the light of a hemisphere moves so."""
         moves = mi.Bool(False)
-        for one, legs in zip(self.half_vectors, self.legs):
+        for one, segments in zip(self.half_vectors, self.segments):
             this = hemisphere == one.hemisphere
-            if not all(one.legs):
-                leg = place.leg - place.azimuth * len(one.legs)
-                this &= dr.gather(mi.Bool, legs, leg)
+            if not all(one.segments):
+                segment = place.segment - place.azimuth * len(one.segments)
+                this &= dr.gather(mi.Bool, segments, segment)
             moves |= this
         return moves
 
@@ -346,17 +346,17 @@ class InterpolatedLobes:
         grid, number = table.grid, range(self.n_hemispheres)
         moving = [n for n in number if incident.n_azimuths > 1 and grid.moves(n)]
         self.normals = HalfVectorTransport(half_vectors, moving)
-        by_normals = [one.hemisphere for one in half_vectors if all(one.legs)]
-        by_legs = [n for n in number if n not in by_normals]
-        every = (True,) * incident.n_legs
+        by_normals = [one.hemisphere for one in half_vectors if all(one.segments)]
+        by_segments = [n for n in number if n not in by_normals]
+        every = (True,) * incident.n_segments
         between = [
             HalfVectorLegs(n, grid.eta if n else None, every)
-            for n in by_legs
+            for n in by_segments
             if n in moving
         ]
         self.azimuths = HalfVectorTransport(between, moving)
         # slow to find: none where nothing moves by them
-        self.legs = QuantileTransport(table) if by_legs else None
+        self.segments = QuantileTransport(table) if by_segments else None
         self.measured = LobeArrays(table)
         self.n_channels = self.measured.n_channels
 
@@ -367,18 +367,18 @@ class InterpolatedLobes:
     ) -> list[mi.Float64]:
         """BRDF in 1/sr of each channel, of one azimuth's lobes; 0 where not active."""
         if not self.normals.half_vectors:
-            return self._by_legs(place, hemisphere, point, active)
+            return self._by_segments(place, hemisphere, point, active)
         moves = self.normals.move(place, hemisphere)
         values = self._by_normals(place, hemisphere, point, active & moves)
-        if self.legs is not None:
-            others = self._by_legs(place, hemisphere, point, active & ~moves)
+        if self.segments is not None:
+            others = self._by_segments(place, hemisphere, point, active & ~moves)
             values = [a + b for a, b in zip(values, others)]
         return values
 
     def _by_normals(
         self, place: Place, hemisphere: mi.UInt32, point: DiskPoint, active: mi.Bool
     ) -> list[mi.Float64]:
-        """What micro-normals of both ends of the leg send, and what of them stays."""
+        """What micro-normals of both ends of the segment send, and what stays."""
         values = [mi.Float64(0)] * self.n_channels
         phi_i = self.incident.measured(place.azimuth)
         for end, z in enumerate(place.ends):
@@ -396,10 +396,10 @@ class InterpolatedLobes:
             ]
         return values
 
-    def _by_legs(
+    def _by_segments(
         self, place: Place, hemisphere: mi.UInt32, point: DiskPoint, active: mi.Bool
     ) -> list[mi.Float64]:
-        """What moves along the legs, and between azimuths perhaps by micro-normals.
+        """What moves along the segments, and between azimuths perhaps by micro-normals.
 
         What these send to a point, and what they would send beyond the horizon and
         therefore stays.
@@ -437,10 +437,10 @@ class InterpolatedLobes:
     def _brdf_at_azimuth(
         self, place: Place, hemisphere: mi.UInt32, point: DiskPoint, active: mi.Bool
     ) -> list[mi.Float64]:
-        """BRDF at the azimuth of the place: of both ends of the leg, moved to there."""
+        """BRDF at the place's azimuth: of both ends of the segment, moved to there."""
         sources = [(point, mi.Float64(1))] * 2
-        if self.legs is not None and self.incident.n_angles > 1:
-            sources = self.legs.moved(place, hemisphere, point, place.t, (0, 1))
+        if self.segments is not None and self.incident.n_angles > 1:
+            sources = self.segments.moved(place, hemisphere, point, place.t, (0, 1))
         values = [mi.Float64(0)] * self.n_channels
         phi_i = self.incident.measured(place.azimuth)
         for end, (source, stretch) in enumerate(sources):
@@ -455,7 +455,7 @@ class InterpolatedLobes:
     def drawn(
         self, place: Place, hemisphere: mi.UInt32, end: mi.Float64, sample2: mi.Point2f
     ) -> DiskPoint:
-        """Point of the lobe at an end of a leg, where it is for incident light."""
+        """Point of the lobe at an end of a segment, where it is for incident light."""
         row = dr.select(end > 0.5, place.rows[1], place.rows[0])
         row = row * self.n_hemispheres + hemisphere
         phi_i = self.incident.measured(place.azimuth)
@@ -465,10 +465,12 @@ class InterpolatedLobes:
     def moved(
         self, place: Place, hemisphere: mi.UInt32, point: DiskPoint, end: mi.Float64
     ) -> DiskPoint:
-        """Where a point of the lobe at an end of a leg is for incident light."""
+        """Where a point of the lobe at an end of a segment is for incident light."""
         moved = point
-        if self.legs is not None and self.incident.n_angles > 1:
-            ((moved, _),) = self.legs.moved(place, hemisphere, point, end, [place.t])
+        if self.segments is not None and self.incident.n_angles > 1:
+            ((moved, _),) = self.segments.moved(
+                place, hemisphere, point, end, [place.t]
+            )
         if self.azimuths.half_vectors:
             moved, _ = self.azimuths.goes_to(place, place.z_i, hemisphere, moved)
         if not self.normals.half_vectors:

@@ -46,16 +46,16 @@ EVEN_FRACTION = 0.01
 class TransportTable:
     """Maps of points between the polar angles of a table.
 
-    A *leg* leads from one polar angle to the next; there are ``K = max(N - 1, 1)``.
-    Across a leg, histogram edges of both ends cut the disk into ``S = 2 N_CELLS - 1``
-    strips of x, and each strip into ``S`` cells of ``y / sqrt(1 - x^2)``; within one,
+    A *segment* leads from one polar angle to the next; there are ``K = max(N - 1, 1)``.
+    Across a segment, histogram edges of both ends cut the disk into
+    ``S = 2 N_CELLS - 1`` strips of x, and each strip into ``S`` cells of ``y / sqrt(1 - x^2)``; within one,
     points move together.
 
     Attributes
     ----------
     strips, strip_slopes : ndarray, shape (2, P, K, H, S)
         Where a strip begins, and its width per fraction of the flux, on both ends of
-        the leg.
+        the segment.
     cells, cell_slopes : ndarray, shape (2, P, K, H, S, S)
         The same across a strip.
     """
@@ -69,7 +69,7 @@ class TransportTable:
     def of(
         cls, brdf: Floats, patches: RingsAndSectors, phi_i: Floats
     ) -> TransportTable:
-        """Strips and cells of all legs of a table's lobes."""
+        """Strips and cells of all segments of a table's lobes."""
         n_azimuths, n_angles, n_hemispheres = brdf.shape[:3]
         shape = n_azimuths, max(n_angles - 1, 1), n_hemispheres, 2 * N_CELLS - 1
         # both ends as channels, which are not copied
@@ -79,11 +79,11 @@ class TransportTable:
         ]
         for azimuth, phi in enumerate(np.radians(phi_i)):
             histograms = _histograms(brdf[azimuth], patches, phi)
-            for leg, hemisphere in np.ndindex(shape[1:3]):
-                ends = leg, min(leg + 1, n_angles - 1)
-                found = _leg(*(histograms[end, hemisphere] for end in ends))
+            for segment, hemisphere in np.ndindex(shape[1:3]):
+                ends = segment, min(segment + 1, n_angles - 1)
+                found = _segment(*(histograms[end, hemisphere] for end in ends))
                 for array, own in zip(arrays, found):
-                    array[:, azimuth, leg, hemisphere] = own
+                    array[:, azimuth, segment, hemisphere] = own
         return cls(*arrays)
 
 
@@ -114,8 +114,8 @@ def _histograms(brdf: Floats, patches: RingsAndSectors, phi_i: float) -> Floats:
     return (1 - EVEN_FRACTION) * flux + EVEN_FRACTION * even / even.sum()
 
 
-def _leg(first: Floats, second: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Strips and cells of a leg between two histograms, and their slopes."""
+def _segment(first: Floats, second: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Strips and cells of a segment between two histograms, and their slopes."""
     along = [cumulative(histogram.sum(axis=1)) for histogram in (first, second)]
     strips, strip_slopes, of = merged(*along)
     across = [
@@ -229,7 +229,7 @@ class LobeTable:
         )
 
     @property
-    def legs(self) -> TransportTable:
+    def segments(self) -> TransportTable:
         """Maps by which quantiles are transported."""
         return TransportTable.of(self.brdf, self.patches, self.grid.phi_i)
 
@@ -399,8 +399,8 @@ def check_table(n_azimuths: int, n_angles: int, lobes: tuple[int, ...]) -> float
     """
     n_hemispheres, *patches, n_channels = lobes
     means = 3 if n_channels > 1 else 0
-    of_patch, of_leg = 3 * n_channels + means + 2, 4 * (2 * N_CELLS) ** 2
-    each = 8 * n_hemispheres * (math.prod(patches) * of_patch + of_leg)
+    of_patch, of_segment = 3 * n_channels + means + 2, 4 * (2 * N_CELLS) ** 2
+    each = 8 * n_hemispheres * (math.prod(patches) * of_patch + of_segment)
     n_bytes = n_azimuths * n_angles * each
     if n_bytes > MAX_BYTES:
         raise TooLargeError(

@@ -111,16 +111,18 @@ def tilted(fraction: mi.Float64, tilt: mi.Float64) -> mi.Float64:
 
 @dataclass(frozen=True)
 class Place:
-    """Where to look in the table: one measured azimuth, and for each lane a leg."""
+    """Where to look in the table: one measured azimuth, and for each lane a segment."""
 
     weight: mi.Float64  # of this azimuth
     azimuth: mi.UInt32  # its index
-    leg: mi.UInt32  # index among the legs of all azimuths
-    rows: tuple[mi.UInt32, ...]  # of azimuth and polar angle at both ends of the leg
-    t: mi.Float64  # how far on the leg, from 0 to 1
+    segment: mi.UInt32  # index among the segments of all azimuths
+    rows: tuple[
+        mi.UInt32, ...
+    ]  # of azimuth and polar angle at both ends of the segment
+    t: mi.Float64  # how far on the segment, from 0 to 1
     past: mi.Float64  # angle from this azimuth to that of incidence
     z_i: mi.Float64  # cosine of the angle of incidence
-    ends: tuple[mi.Float64, ...]  # the same at both ends of the leg
+    ends: tuple[mi.Float64, ...]  # the same at both ends of the segment
 
     def incident(self, past: Any = None, z: Any = None) -> list[Any]:
         """Incident direction: +x, or azimuth `past` before it, at cosine z."""
@@ -129,7 +131,7 @@ class Place:
         return here if past is None else turned(here, -past)
 
     def fraction(self, end: int) -> mi.Float64:
-        """What an end of the leg has of this azimuth."""
+        """What an end of the segment has of this azimuth."""
         return self.t if end else 1 - self.t
 
 
@@ -143,7 +145,7 @@ class IncidentPlaces:
 
     def __init__(self, grid: IncidentGrid) -> None:
         self.n_azimuths, self.n_angles = len(grid.phi_i), len(grid.theta_i)
-        self.n_legs = max(self.n_angles - 1, 1)
+        self.n_segments = max(self.n_angles - 1, 1)
         self.sin_i = doubles(np.sin(np.radians(grid.theta_i)))
         self.cos_i = doubles(np.cos(np.radians(grid.theta_i)))
         self.phi_i = doubles(np.radians(grid.phi_i))
@@ -160,15 +162,15 @@ class IncidentPlaces:
 
     def around(self, wi: mi.Vector3f, phi: mi.Float64) -> list[Place]:
         """Return the one or two measured azimuths to mix for `wi`, whose own is phi."""
-        leg, t = mi.UInt32(0), mi.Float64(0)
+        segment, t = mi.UInt32(0), mi.Float64(0)
         if self.n_angles > 1:
             x, y = mi.Float64(wi.x), mi.Float64(wi.y)
             sine = dr.sqrt(x * x + y * y)
-            leg = last(self.n_legs, lambda i: read(self.sin_i, i) <= sine)
-            low, high = read(self.sin_i, leg), read(self.sin_i, leg + 1)
+            segment = last(self.n_segments, lambda i: read(self.sin_i, i) <= sine)
+            low, high = read(self.sin_i, segment), read(self.sin_i, segment + 1)
             t = dr.clip((sine - low) / (high - low), 0, 1)
         z_i = mi.Float64(wi.z) / dr.sqrt(mi.Float64(dr.squared_norm(wi)))
-        place = partial(self._place, leg, t, z_i)
+        place = partial(self._place, segment, t, z_i)
         if self.n_azimuths == 1:
             return [place(mi.Float64(1), mi.UInt32(0), mi.Float64(0))]
         turn = 2 * dr.pi
@@ -187,7 +189,7 @@ class IncidentPlaces:
 
     def _place(
         self,
-        leg: mi.UInt32,
+        segment: mi.UInt32,
         t: mi.Float64,
         z_i: mi.Float64,
         weight: mi.Float64,
@@ -195,7 +197,7 @@ class IncidentPlaces:
         past: mi.Float64,
     ) -> Place:
         first = azimuth * self.n_angles
-        rows = first + leg, first + dr.minimum(leg + 1, self.n_angles - 1)
+        rows = first + segment, first + dr.minimum(segment + 1, self.n_angles - 1)
         ends = tuple(read(self.cos_i, row - first) for row in rows)
-        leg = azimuth * self.n_legs + leg
-        return Place(weight, azimuth, leg, rows, t, past, z_i, ends)
+        segment = azimuth * self.n_segments + segment
+        return Place(weight, azimuth, segment, rows, t, past, z_i, ends)

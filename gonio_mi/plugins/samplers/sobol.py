@@ -417,7 +417,7 @@ class Sobol(mi.Sampler):
     def follow_curve(
         self, first: int = 0, last: int | None = None, walks: int = 1
     ) -> tuple[mi.UInt32, mi.UInt32]:
-        """Give neighbouring lanes points whose first two numbers are neighbours.
+        """Reorder the points along a Morton curve, for coherent rays.
 
         All sequences walk along one curve together, side by side, through the smallest
         aligned block of points about theirs. They are the same points: only their order

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gonio_mi.array_types import Floats
 from gonio_mi.errors import SpecimenError, check_memory, warn
-from gonio_mi.mitsuba_names import mesh_of
+from gonio_mi.mitsuba_compat import mesh_of
 from gonio_mi.plugins import properties
 from gonio_mi.settings.declaration import example
 from gonio_mi.surfaces.height_maps import HeightMap, read_height_map

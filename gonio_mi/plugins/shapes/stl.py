@@ -7,7 +7,7 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 
-from gonio_mi.mitsuba_names import mesh_of
+from gonio_mi.mitsuba_compat import mesh_of
 from gonio_mi.settings.declaration import example
 from gonio_mi.surfaces.meshes import read_stl
 

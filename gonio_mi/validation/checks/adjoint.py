@@ -10,7 +10,7 @@ import numpy as np
 from ...array_types import Flags
 from ..evidence import BIAS, BREAKS, Evidence
 from ..kinds import Kind
-from ..samples import is_many, samples_of, unequal
+from ..samples import beyond_rounding, samples_of, unequal
 from .delta import Lobe
 from .reciprocity import BothWays, is_constant, ratio_text
 
@@ -31,7 +31,7 @@ def check_ways(evidence: Evidence, ways: BothWays) -> None:
     reciprocal = ~unequal(ways.forward, eta2 * ways.backward, slack)
     wrong = unequal(ways.forward, ways.adjoint, slack)
     wrong &= ways.smooth & (here | (reciprocal & there))
-    if is_many(wrong):
+    if beyond_rounding(wrong):
         of_others = _mistake_of_wavelengths(ways, wrong)
         of_radiance = reciprocal[wrong].mean() > 0.5 and not of_others
         evidence.breach(
@@ -52,7 +52,11 @@ def _mistake_of_wavelengths(ways: BothWays, wrong: Flags) -> str:
     """
     samples = ways.samples
     first = unequal(ways.forward[:, 0], ways.adjoint[:, 0], ways.slack[:, 0])
-    if not mi.is_spectral or is_many(first & wrong) or samples.reflected[wrong].any():
+    if (
+        not mi.is_spectral
+        or beyond_rounding(first & wrong)
+        or samples.reflected[wrong].any()
+    ):
         return ""
     by_way, by_mode = (
         np.median(here[wrong] / np.maximum(other[wrong], 1e-30), axis=0)
@@ -112,7 +116,7 @@ def check_lobe(
     reflected = samples.reflected | ((samples.type & int(mi.BSDFFlags.Null)) != 0)
     eta2 = np.where(reflected, 1.0, samples.eta**2)[:, None]
     wrong = unequal(same.weight * eta2, samples.weight, 0.0) & both
-    if is_many(wrong):
+    if beyond_rounding(wrong):
         ratio = np.median(same.weight[wrong] / samples.weight[wrong])
         due = 1 / np.median(eta2[wrong])
         if returns and abs(ratio - 1) < 1e-3:

@@ -17,7 +17,7 @@ from ..conditions import POSITION, TURN
 from ..evidence import BIAS, INTERFACE, Evidence
 from ..kinds import Kind
 from ..probe import Probe, random_numbers, spectral, vectors
-from ..samples import Samples, is_many, unequal
+from ..samples import Samples, beyond_rounding, unequal
 
 # Properties that hold unless two functions contradict each other.
 AGREEMENTS = (
@@ -201,23 +201,27 @@ def _turned_answer(
         ("pdf", probe.densities, samples.pdf, samples.pdf_slack),
     ):
         wrong = unequal(ask(wo), here, slack) & usable
-        if is_many(wrong):
+        if beyond_rounding(wrong):
             for name, axes in (("to_local", TURN), ("to_world", TURN.T)):
                 # a mask may ask for the side of either
                 alike = usable & ((wo @ axes)[:, 2] * wo[:, 2] > 0)
                 other = unequal(ask(wo @ axes), here, slack)
-                if is_many(alike & wrong) and not is_many(other & alike):
+                if beyond_rounding(alike & wrong) and not beyond_rounding(
+                    other & alike
+                ):
                     return function, wrong, f"applies `{name}` to wo, which is local"
             return function, wrong, mixed
     bs, weight = probe.sample(*samples.random)
     flat = spectral(bs.wo, samples.n)
     wrong = _displaced(flat, wo) & samples.smooth
-    if is_many(wrong):
-        if not is_many(_displaced(flat @ TURN.T, wo) & samples.smooth):
+    if beyond_rounding(wrong):
+        if not beyond_rounding(_displaced(flat @ TURN.T, wo) & samples.smooth):
             mixed = "returns directions in world coordinates, where local ones are due"
         return "sample", wrong, mixed
     wrong = unequal(spectral(weight, samples.n), samples.weight, 0.0) & samples.smooth
-    return ("sample", wrong, f"{mixed} in its weight") if is_many(wrong) else None
+    return (
+        ("sample", wrong, f"{mixed} in its weight") if beyond_rounding(wrong) else None
+    )
 
 
 def _displaced(a: Floats, b: Floats) -> Flags:
@@ -243,7 +247,7 @@ def check_order(evidence: Evidence, samples: Samples) -> None:
         ("sample", spectral(weight, n), samples.weight, 0.0),
     ):
         wrong = unequal(answer[::-1], due, slack) & samples.usable
-        if is_many(wrong):
+        if beyond_rounding(wrong):
             evidence.breach(
                 "answers",
                 function,
@@ -320,7 +324,7 @@ def check_memory(
         usable: Any = np.isfinite(before) & np.isfinite(after_all)
         usable = usable if usable.ndim == 1 else usable.all(axis=1)
         wrong = unequal(before, after_all, 0.0) & usable
-        if is_many(wrong):
+        if beyond_rounding(wrong):
             evidence.breach(
                 "answers",
                 function,

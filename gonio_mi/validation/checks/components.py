@@ -11,7 +11,7 @@ from ...array_types import Flags, Floats
 from ..evidence import Evidence
 from ..kinds import Kind
 from ..probe import Probe, is_delta, numbers, spectral
-from ..samples import Samples, is_many, unequal
+from ..samples import Samples, beyond_rounding, unequal
 from .answers import LOBES
 
 
@@ -57,7 +57,7 @@ def _check_discrete(evidence: Evidence, samples: Samples, each: Alone) -> None:
     """Check that a discrete lobe has the same flux fraction alone as in the whole."""
     for i, due in enumerate(each.discrete):
         own = samples.given & samples.delta & (samples.component == i)
-        if not is_many(own) or not due.any():
+        if not beyond_rounding(own) or not due.any():
             continue
         flux = samples.flux[own]
         whole = _median(flux)
@@ -86,7 +86,7 @@ def are_apart(bsdf: mi.BSDF, samples: Samples, each: Alone) -> bool:
     if len(smooth) < 2:
         return True
     differ = (unequal(x, samples.eval, samples.eval_slack) for x in smooth)
-    return all(is_many(one & samples.smooth) for one in differ)
+    return all(beyond_rounding(one & samples.smooth) for one in differ)
 
 
 def _check_types(evidence: Evidence, samples: Samples, each: Alone) -> None:
@@ -116,7 +116,7 @@ def _check_types(evidence: Evidence, samples: Samples, each: Alone) -> None:
             ("sample", given & ((drawn & (lobes ^ own)) != 0)),
         ):
             wrong = wrong & (samples.smooth | (function == "sample"))
-            if is_many(wrong) and (apart or function == "sample"):
+            if beyond_rounding(wrong) and (apart or function == "sample"):
                 evidence.breach(
                     "flags",
                     function,
@@ -145,7 +145,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
     usable = samples.smooth & np.isfinite(total).all(axis=1) & np.isfinite(density)
     deaf = _deaf(samples, each, usable)
     wrong = unequal(total, samples.eval, samples.eval_slack) & usable
-    if is_many(wrong):
+    if beyond_rounding(wrong):
         whole = samples.eval[wrong].sum(axis=1)
         ratio = total[wrong].sum(axis=1) / np.maximum(whole, 1e-30)
         evidence.breach(
@@ -160,7 +160,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
         )
     more = unequal(samples.pdf, density, samples.pdf_slack) & (samples.pdf > density)
     more &= usable
-    if is_many(more):
+    if beyond_rounding(more):
         ratio = samples.pdf[more] / np.maximum(density[more], 1e-30)
         evidence.breach(
             "components",
@@ -188,8 +188,8 @@ def _deaf(samples: Samples, each: Alone, usable: Flags) -> str:
     *others, last = [
         f"`{name}`"
         for name, differs in own.items()
-        if not any(is_many(one & usable) for one in differs)
+        if not any(beyond_rounding(one & usable) for one in differs)
     ] or [""]
     if others:
-        return f"{', '.join(others)} and {last} do not heed ctx.component"
+        return f"{', '.join(others)} and {last} ignore ctx.component"
     return last and f"{last} does not heed ctx.component"

@@ -47,7 +47,7 @@ def check_compiled(
         n_new = sum(not k["cache_hit"] or bool(k["cache_disk"]) for k in kernels)
         if not n_new:
             return again
-    evidence.lesser["cost"] = COST
+    evidence.downgraded["cost"] = COST
     evidence.remark(
         "cost",
         f"adds cost: {n_new} of {len(kernels)} kernels are compiled anew whenever the "
@@ -68,7 +68,7 @@ def check_recorded(evidence: Evidence, condition: Condition) -> None:
     probe = Probe(evidence.bsdf, condition)
     own = [name for name in RECORDED if not _is_recorded(probe, name)]
     if own:
-        evidence.lesser["cost"] = COST
+        evidence.downgraded["cost"] = COST
         evidence.remark(
             "cost",
             f"adds cost: `{'`, `'.join(own)}` cannot be recorded (values are asked for "
@@ -103,7 +103,7 @@ def check_time(evidence: Evidence, condition: Condition) -> None:
     """Remark on the time per ray, relative to the most similar BSDF of Mitsuba."""
     name, other = _closest(int(evidence.bsdf.flags()))
     if evidence.bsdf.class_name() == other.class_name():
-        evidence.remark("cost", "with it the time of others is compared")
+        evidence.remark("cost", "reference plugin of the timing")
         return
     own, ratio = compared(_call(evidence.bsdf, condition), _call(other, condition))
     text = (
@@ -111,7 +111,7 @@ def check_time(evidence: Evidence, condition: Condition) -> None:
         f"times as long as those of `{name}`"
     )
     if ratio > MAX_RATIO:
-        evidence.lesser["cost"] = COST
+        evidence.downgraded["cost"] = COST
         text = f"adds cost: {text}"
     evidence.remark("cost", text)
 

@@ -13,7 +13,7 @@ from ...single_precision import BSDF_ROUNDING
 from ..evidence import MODEL, Evidence
 from ..kinds import Kind
 from ..probe import Probe
-from ..samples import Samples, is_many
+from ..samples import Samples, beyond_rounding
 
 # Directions that are the same differ by that at the horizon, where single precision
 # finds a cosine from a sine.
@@ -51,7 +51,7 @@ def lobes_of(evidence: Evidence, samples: Samples) -> list[Lobe]:
     lobes = []
     for component, kind in sorted(pairs):
         own = delta & (samples.component == component) & (samples.type == kind)
-        if is_many(own):
+        if beyond_rounding(own):
             found = _split(evidence, samples, own, int(kind))
             lobes += [lobe for lobe in found if _check_lobe(evidence, lobe)]
     return lobes
@@ -74,11 +74,11 @@ def _split(evidence: Evidence, samples: Samples, own: Flags, kind: int) -> list[
         wo = np.median(samples.wo[part], axis=0)
         lobes.append(Lobe(samples, part, wo, kind, alone=False))
         rest = rest & ~part
-    if not is_many(rest):
-        return [lobe for lobe in lobes if is_many(lobe.own)]
+    if not beyond_rounding(rest):
+        return [lobe for lobe in lobes if beyond_rounding(lobe.own)]
     statistic = f"directions differ by up to {spread:.3g} at {samples.condition}"
     lit: Flags = (np.nan_to_num(samples.eval[own], nan=1.0) != 0).any(axis=1)
-    if is_many(lit):
+    if beyond_rounding(lit):
         evidence.breach(
             "delta",
             "sample",

@@ -11,7 +11,7 @@ from ...array_types import Flags
 from ...single_precision import BSDF_ROUNDING
 from ..evidence import INTERFACE, NOISE, Evidence
 from ..kinds import Kind
-from ..samples import Samples, is_many, unequal
+from ..samples import Samples, beyond_rounding, unequal
 from .reciprocity import MAX_OFF, BothWays, is_constant
 
 # Why a type is wrong, if all else agrees.
@@ -51,7 +51,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
         (~(samples.eta > 0), "eta is not positive", "", eta),
     ):
         wrong = wrong & given
-        if is_many(wrong):
+        if beyond_rounding(wrong):
             evidence.breach(
                 "directions",
                 "sample",
@@ -79,7 +79,7 @@ def check_eta(evidence: Evidence, ways: BothWays) -> BothWays:
     first = slice(1 if mi.is_spectral else None)
     others = [x[:, first].sum(axis=1) for x in (ways.backward, samples.other_mode)]
     through &= (others[0] > 0) & (others[1] > 0)
-    if not is_many(through) or evidence.of("sampled_weight"):
+    if not beyond_rounding(through) or evidence.of("sampled_weight"):
         return ways
     by_way, by_mode = (
         here[through, first].sum(axis=1) / other[through]

@@ -9,7 +9,7 @@ from ...single_precision import BSDF_ROUNDING
 from ..evidence import INTERFACE, Evidence
 from ..kinds import Kind
 from ..probe import Probe, numbers, spectral, vectors
-from ..samples import Samples, is_many, ratio_of, unequal
+from ..samples import Samples, beyond_rounding, ratio_of, unequal
 from .answers import lattice
 
 # Differences on a lattice that may be rounding of a sharp lobe: of a value, and of the
@@ -27,7 +27,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
     wrong = (np.abs(own["wo"] - samples.wo).max(axis=1) > BSDF_ROUNDING) & given
     wrong |= unequal(own["weight"], samples.weight, 0.0)
     wrong |= unequal(own["pdf"], samples.sampled_pdf, 0.0) & given
-    if is_many(wrong):
+    if beyond_rounding(wrong):
         evidence.breach(
             "eval_pdf_sample",
             "eval_pdf_sample",
@@ -53,7 +53,7 @@ def check_lattice(evidence: Evidence, probe: Probe) -> None:
         off, size = np.abs(joint - due), np.maximum(np.abs(joint), np.abs(due))
         limit = np.maximum(MAX_RELATIVE * size, MAX_OF_PEAK * size.max())
         wrong = (off > limit).any(axis=1)
-        if is_many(wrong):
+        if beyond_rounding(wrong):
             light = float(4 * np.pi * off.sum(axis=1)[wrong].sum() / n)
             evidence.breach(
                 "eval_pdf",

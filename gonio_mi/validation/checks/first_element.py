@@ -16,7 +16,7 @@ from ..conditions import Condition
 from ..evidence import Evidence
 from ..mueller import Lobes, Matrices, condition_of
 from ..probe import Probe, floats, numbers, random_numbers, spectral, vectors
-from ..samples import is_many
+from ..samples import beyond_rounding
 
 # Relative difference of two ways to compute one value, in single precision.
 ROUNDING = 2e-3
@@ -63,7 +63,7 @@ def _compare(
     size = np.maximum(np.abs(light), np.abs(plain))
     differs = (np.abs(light - plain) > ROUNDING * size + 1e-9).any(axis=-1)
     wrong = np.asarray(differs & asked)
-    if not is_many(wrong):
+    if not beyond_rounding(wrong):
         return
     ratio = light[wrong].sum(-1) / np.maximum(plain[wrong].sum(-1), 1e-30)
     low, high = np.quantile(ratio, [0.05, 0.95])

@@ -13,7 +13,7 @@ from ..conditions import Condition
 from ..evidence import BIAS, Evidence
 from ..kinds import Kind
 from ..probe import Probe
-from ..samples import Samples, is_many, samples_of, unequal
+from ..samples import Samples, beyond_rounding, samples_of, unequal
 from . import sampling, weights
 from .answers import LOBES
 
@@ -157,7 +157,7 @@ def _changed(
     probe = Probe(bsdf, samples.condition)
     value = probe.values(change(probe, samples.wo))
     differs = unequal(value, samples.eval, samples.eval_slack) & samples.smooth
-    return float(differs.mean()) if is_many(differs) else 0.0
+    return float(differs.mean()) if beyond_rounding(differs) else 0.0
 
 
 def _turn(probe: Probe, wo: Floats) -> Floats:

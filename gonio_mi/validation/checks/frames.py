@@ -22,7 +22,7 @@ from ..mueller import (
     per_light,
     readings,
 )
-from ..samples import is_many
+from ..samples import beyond_rounding
 from .mueller_symmetry import ROUNDING
 
 # Relative change of the first element up to which it does not depend on the azimuth.
@@ -163,7 +163,7 @@ def check_world(
     change = np.abs(there.light - here.light)
     same_light = (change <= SAME_LIGHT * here.light).all(axis=-1)
     wrong = same_light & (size > ROUNDING + slack)
-    if not is_many(wrong):
+    if not beyond_rounding(wrong):
         return
     function, worst = here.function, int(np.argmax(np.where(wrong, size, 0)))
     condition = condition_of(here, (worst,))

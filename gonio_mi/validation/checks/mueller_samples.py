@@ -20,7 +20,7 @@ from ..mueller import (
     per_light,
     readings,
 )
-from ..samples import is_many
+from ..samples import beyond_rounding
 
 # Properties that are judged here, of each transport mode.
 AGREEMENTS = ("sampled_pdf", "sampled_weight", "eval_pdf")
@@ -64,7 +64,7 @@ def check_weights(
         return
     density = lobes.pdf
     wrong = usable & (np.abs(density - pdf) > ROUNDING * np.maximum(density, pdf))
-    if is_many(wrong):
+    if beyond_rounding(wrong):
         ratio = density[wrong] / np.maximum(pdf[wrong], 1e-30)
         low, high = np.quantile(ratio, [0.05, 0.95])
         condition = condition_of(lobes.weights, tuple(np.argwhere(wrong)[0]))
@@ -84,7 +84,7 @@ def check_weights(
     difference = np.abs(difference / np.where(light > 0, light, 1))
     size = difference.max(axis=(-1, -2, -3))
     wrong = usable & (size > ROUNDING + slack)
-    if not is_many(wrong):
+    if not beyond_rounding(wrong):
         return
     suspects: tuple[str, ...] = ("sample", "eval")
     if values.mode == "radiance":
@@ -161,7 +161,7 @@ def check_eval_pdf(
         ("values", asked & (change > ROUNDING), MatrixKind.EVAL_PDF),
         ("densities", asked & (density > ROUNDING), Kind.EVAL_PDF),
     ):
-        if is_many(wrong):
+        if beyond_rounding(wrong):
             condition = condition_of(values, tuple(np.argwhere(wrong)[0]))
             evidence.breach(
                 "eval_pdf",

@@ -8,7 +8,7 @@ from ...array_types import Flags, Floats
 from ...collector.stokes import EXCHANGE
 from ..evidence import Evidence
 from ..mueller import Matrices, condition_of, is_depolarised, off, per_light
-from ..samples import is_many
+from ..samples import beyond_rounding
 
 # Difference of elements over the first one that is no rounding, beside its slack.
 ROUNDING = 2e-3
@@ -24,7 +24,7 @@ def check_reciprocity(
     m, reverse = per_light(there.in_plane()), per_light(back.in_plane())
     due = EXCHANGE @ np.swapaxes(reverse, -1, -2) @ EXCHANGE
     wrong, size = _wrong(there, back, off(m, due), slack)
-    if is_many(wrong):
+    if beyond_rounding(wrong):
         mistake = (
             "is not reciprocal in its polarisation: M(wi, wo) is not Q M(wo, wi)^T Q"
         )
@@ -37,7 +37,7 @@ def check_adjoint(
     """Check that radiance mode answers from wo to wi as importance mode does."""
     m, due = per_light(radiance.in_plane()), per_light(back.in_plane())
     wrong, size = _wrong(radiance, back, off(m, due), slack)
-    if not is_many(wrong):
+    if not beyond_rounding(wrong):
         return
     mistake = "does not answer for light that goes from wo to wi"
     if is_depolarised(m[wrong]):

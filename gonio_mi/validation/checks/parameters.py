@@ -16,8 +16,8 @@ from ..evidence import BIAS, INTERFACE, MAX_P, Evidence
 from ..kinds import Kind
 from ..probe import (
     Probe,
+    as_plugin_fault,
     assign,
-    blamed,
     changed,
     number_parameters,
     numbers,
@@ -26,9 +26,9 @@ from ..probe import (
     update,
     vectors,
 )
-from ..samples import Samples, is_many, unequal
+from ..samples import Samples, beyond_rounding, unequal
 from . import answers
-from .agreement import check_sweep
+from .consistency import check_sweep
 
 # Step of a sequence that is spread evenly: the golden section.
 GOLDEN = (5**0.5 - 1) / 2
@@ -153,7 +153,7 @@ def _check_updates(
         own = [
             function
             for function, answer in before.items()
-            if is_many(unequal(answer, after[function], 0.0))
+            if beyond_rounding(unequal(answer, after[function], 0.0))
         ]
         if own:
             who = "` and `".join(own)
@@ -264,7 +264,7 @@ def _stale(before: Samples, found: Evidence) -> str:
     still = (before.wo == after.wo).all(axis=1) & before.usable & after.usable
 
     def same(answer: Callable[[Samples], Floats]) -> bool:
-        return not is_many(unequal(answer(before), answer(after), 0.0) & still)
+        return not beyond_rounding(unequal(answer(before), answer(after), 0.0) & still)
 
     names = {b.name for b in found.breaches if b.effect == BIAS}
     if "sampled_weight" in names and "sampled_pdf" not in names:
@@ -354,7 +354,7 @@ def _gradient(
 ) -> Floats:
     """Derivatives of ``eval`` by what a parameter depends on, shape (n, channels)."""
     answer = Probe(bsdf, condition).eval(wo)
-    with blamed("eval"):
+    with as_plugin_fault("eval"):
         flags = dr.ADFlag.Default | dr.ADFlag.AllowNoGrad
         dr.forward(variable, flags=flags)
     return spectral(dr.grad(answer), dr.width(wo))

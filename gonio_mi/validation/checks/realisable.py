@@ -8,7 +8,7 @@ from ...array_types import Flags, Floats
 from ...collector.stokes import coherency_eigenvalues
 from ..evidence import Evidence
 from ..mueller import Matrices, condition_of, per_light
-from ..samples import is_many
+from ..samples import beyond_rounding
 
 # Eigenvalue over the trace that rounding may leave below 0: a few times that of
 # elements, in single precision.
@@ -31,7 +31,7 @@ def check_matrices(evidence: Evidence, matrices: Matrices, asked: Flags) -> None
     m = per_light(chosen.raw)
     least = coherency_eigenvalues(m)[..., 0].min(axis=-1)
     wrong = least < -ROUNDING
-    if not is_many(wrong):
+    if not beyond_rounding(wrong):
         return
     worst = int(np.argmin(least))
     condition, function = condition_of(chosen, (worst,)), chosen.function

@@ -14,7 +14,7 @@ from ..conditions import LitFrom
 from ..evidence import BREAKS, MODEL, Evidence
 from ..kinds import Kind
 from ..probe import Probe, numbers, spectral
-from ..samples import Samples, is_many, samples_of, unequal
+from ..samples import Samples, beyond_rounding, samples_of, unequal
 from .delta import DIRECTION_ROUNDING, Lobe
 
 # Rounding of a squared cosine that is found from sines: of four products.
@@ -87,7 +87,7 @@ def dispersed(ways: BothWays) -> BothWays:
     for channel in range(eta2.shape[1] if mi.is_spectral else 0):
         there, back = ways.forward[:, channel], ways.backward[:, channel]
         lit = through & (there > 0) & (back > 0)
-        constant = is_many(lit) and is_constant(there[lit] / back[lit])
+        constant = beyond_rounding(lit) and is_constant(there[lit] / back[lit])
         own = np.median(there[lit] / back[lit]) if constant else 0.0
         if channel > 0 and constant:
             eta2[through, channel] = own
@@ -103,7 +103,7 @@ def check_ways(evidence: Evidence, ways: BothWays) -> None:
     samples, due = ways.samples, ways.eta2 * ways.backward
     slack = ways.slack * (1 + ways.eta2)
     wrong = unequal(ways.forward, due, slack) & ways.smooth
-    if is_many(wrong):
+    if beyond_rounding(wrong):
         text = ratio_text(ways.forward, due, wrong, samples)
         if np.all(_declared(evidence.bsdf, ways)[wrong]):
             evidence.declared["reciprocity"] = f"{text}, declared as NonSymmetric"

@@ -6,7 +6,14 @@ import numpy as np
 
 from ...array_types import Flags, Floats
 from ..evidence import INTERFACE, Evidence
-from ..samples import MAX_SEARCHED, Samples, closer_slacks, is_many, ratio_of, unequal
+from ..samples import (
+    MAX_SEARCHED,
+    Samples,
+    beyond_rounding,
+    closer_slacks,
+    ratio_of,
+    unequal,
+)
 
 # Standard errors beyond which two means differ.
 MAX_SCORE = 5
@@ -21,10 +28,10 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
         one & lit for one in _unequal(samples, samples.eval_slack, samples.pdf_slack)
     ]
     lit_alike = samples.condition.wi.ndim == 1
-    if lit_alike and is_many(wrong[1]) and wrong[1].mean() < MAX_SEARCHED:
+    if lit_alike and beyond_rounding(wrong[1]) and wrong[1].mean() < MAX_SEARCHED:
         few = samples.those(wrong[1])
         wrong[1][wrong[1]] = _unequal(few, *closer_slacks(evidence.bsdf, few))[1]
-    if all(is_many(one) for one in wrong):
+    if all(beyond_rounding(one) for one in wrong):
         evidence.breach_of_ratio(
             "sampled_weight",
             "sample",

@@ -22,7 +22,7 @@ from ...errors import FileFormatError, SettingError, checked_count, checked_numb
 from ...files.writing import replacing
 from ...instrument.specimen_text import SpecimenLike
 from ...single_precision import BSDF_ROUNDING
-from ..samples import SLACK, ULPS, is_many
+from ..samples import SLACK, ULPS, beyond_rounding
 from .asking import FORMAT, answers_about, interpreter
 
 
@@ -337,7 +337,7 @@ def _sizes(a: Floats, b: Floats, slack: Floats | float) -> Floats:
 def _worst(places: Sequence[str], views: Sequence[Sized], what: str) -> Finding:
     """Finding at the place where most values differ, if any do beyond rounding."""
     shares = [float((sizes > 1).mean()) if len(sizes) else 0.0 for sizes, *_ in views]
-    n_many = sum(bool(is_many(sizes > 1)) for sizes, *_ in views)
+    n_many = sum(bool(beyond_rounding(sizes > 1)) for sizes, *_ in views)
     if not n_many:
         known = [float(np.quantile(sizes, 0.999)) for sizes, *_ in views if len(sizes)]
         most = max(known, default=0.0)
@@ -381,7 +381,7 @@ def _moved(a: Mapping[str, Any], b: Mapping[str, Any]) -> Flags:
 def _sample(places: Sequence[str], pairs: Sequence[tuple[Any, Any]]) -> Finding:
     """Directions for the same random numbers."""
     moved = [_moved(a, b) for a, b in pairs]
-    if not any(map(is_many, moved)):
+    if not any(map(beyond_rounding, moved)):
         return False, 0.0, "the same directions for the same numbers"
     shares = [float(one.mean()) for one in moved]
     i = int(np.argmax(shares))

@@ -9,7 +9,7 @@ import plain_bsdf
 import pytest
 
 import gonio_mi as gonio
-from gonio_mi.campaigns.execution import Surroundings
+from gonio_mi.campaigns.execution import ExecutionContext
 from gonio_mi.instrument import choice
 from gonio_mi.results.summary import summarize
 from gonio_mi.results.summary_text import summary_text
@@ -178,11 +178,11 @@ def test_records_are_merged_rendered_and_measured_again(tmp_path):
 @pytest.mark.needs("materials")
 def test_chosen_directions_choose_as_ever():
     """A whole material tries integrals, then rays; it is not told an estimator."""
-    from gonio_mi.materials.known_directions import KnownDirections
+    from gonio_mi.materials.measured_directions import MeasuredDirections
 
-    where = Surroundings()
+    where = ExecutionContext()
     auto, default = (
-        KnownDirections("plate", DIFFUSE, 0.1, where, settings)
+        MeasuredDirections("plate", DIFFUSE, 0.1, where, settings)
         for settings in ({"estimator": "auto"}, {})
     )
     assert auto.estimators == default.estimators

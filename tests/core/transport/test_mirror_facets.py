@@ -14,7 +14,7 @@ from specimens import MIRROR, heightfield, with_faces
 from gonio_mi.collector.directions import direction
 from gonio_mi.instrument.launcher import Launcher
 from gonio_mi.instrument.setup import set_up
-from gonio_mi.mitsuba_names import triangles_of
+from gonio_mi.mitsuba_compat import triangles_of
 from gonio_mi.settings import MeasurementSettings
 from gonio_mi.transport.mirror_facets import MirrorFacets, has_mirror_facets
 

@@ -126,10 +126,10 @@ def test_a_lower_hemisphere_that_seems_dark(monkeypatch):
         shapes = dict(shape)
         if shape["type"] == "scene":
             del shapes["type"]
-        assert specimen_of(shapes, settings["period"]).seems_dark == dark
+        assert specimen_of(shapes, settings["period"]).appears_opaque == dark
     ball = packed_spheres()["sphere"]
-    assert not specimen_of(ball, "box").seems_dark
-    monkeypatch.setattr(Specimen, "seems_dark", True)
+    assert not specimen_of(ball, "box").appears_opaque
+    monkeypatch.setattr(Specimen, "appears_opaque", True)
     deposited = measured("rough glass", "next_event", seed=1, points=4)
     weighted = measured("rough glass", "weighted", seed=2)
     for hemisphere in (0, 1):

@@ -16,7 +16,7 @@ from gonio_mi.collector.directions import direction
 from gonio_mi.materials.interpolation.incident_grid import tried_indices
 from gonio_mi.materials.interpolation.interpolated_bsdf import (
     InterpolatedBSDF,
-    half_vector_legs,
+    half_vector_segments,
 )
 from gonio_mi.materials.interpolation.interpolated_lobes import HalfVectorLegs
 from gonio_mi.materials.interpolation.lobes import MeasuredLobes
@@ -60,23 +60,23 @@ def test_records_say_how_their_lobes_move(eta):
         (fixed, fixed, []),
     ):
         record = record_of(patches, angles, reflected, transmitted)
-        ways = half_vector_legs(MeasuredLobes(record))
-        assert [way.hemisphere for way in ways if all(way.legs)] == moving
+        ways = half_vector_segments(MeasuredLobes(record))
+        assert [way.hemisphere for way in ways if all(way.segments)] == moving
         if 1 in moving:
             assert (ways[-1].eta > 1) == (eta > 1)
 
 
-def test_each_leg_moves_as_the_nearest_records_say():
+def test_each_segment_moves_as_the_nearest_records_say():
     """Lobes that are fixed up to 40 degrees, and of facets beyond."""
     patches = gonio.subdivision("projected:24x48")
     angles = (0, 10, 20, 30, 40, 50, 60, 70)
     upper, _ = facets_both(patches, angles)
     upper[:5] = synthetic.specular(patches, 20, 90, 20) / 4
     record = record_of(patches, angles, upper)
-    ((way,),) = [half_vector_legs(MeasuredLobes(record))]
+    ((way,),) = [half_vector_segments(MeasuredLobes(record))]
     # the record at 40 degrees is between two that have nothing in common
-    assert way.legs[:3] == (False,) * 3
-    assert way.legs[5:] == (True,) * 2
+    assert way.segments[:3] == (False,) * 3
+    assert way.segments[5:] == (True,) * 2
 
 
 @pytest.mark.parametrize("theta_i", [10, 30])
@@ -86,7 +86,7 @@ def test_diffuse_light_is_as_bright_at_the_horizon_as_elsewhere(theta_i):
     facets, _ = facets_both(patches, ANGLES)
     even = patches.projected_solid_angles / patches.projected_solid_angles.sum() / 4
     lobes = MeasuredLobes(record_of(patches, ANGLES, facets + even))
-    table, own = lobes.whole(), half_vector_legs(lobes)
+    table, own = lobes.whole(), half_vector_segments(lobes)
     every = HalfVectorLegs(0, None, (True,) * 3)
     theta, phi = np.meshgrid(
         np.radians([83, 85, 87]), np.radians(np.arange(60, 301, 5))
@@ -107,7 +107,7 @@ def test_too_few_angles_say_nothing():
     """Of two no one is between others."""
     patches = gonio.subdivision("projected:24x48")
     record = record_of(patches, ANGLES[:2], *facets_both(patches, ANGLES[:2]))
-    assert not half_vector_legs(MeasuredLobes(record))
+    assert not half_vector_segments(MeasuredLobes(record))
 
 
 def test_light_of_the_normal_alone_says_no_index():
@@ -162,7 +162,7 @@ def test_predictions_need_only_what_lies_around():
     table = InterpolatedBSDF(whole.lobes.whole(), half_vectors=whole.half_vectors)
     whole.face = lambda *_: table
     elsewhere.face = lambda *_: around.face(50, 140)
-    assert any(any(way.legs) for way in around.half_vectors)
+    assert any(any(way.segments) for way in around.half_vectors)
     for one in ((5, 30), (29, 359), (50, 100), (70, 300), (80, 20), (0, 0)):
         truth = whole.flux(*one)
         assert np.allclose(around.flux(*one), truth, rtol=DOUBLE, atol=0)
@@ -173,7 +173,7 @@ def test_samples_follow_the_values(tmp_path):
     """Also beyond the last angle, where light stays; twin: of another direction."""
     patches = gonio.subdivision("projected:24x36")
     record = record_of(patches, ANGLES, *facets_both(patches, ANGLES))
-    assert len(half_vector_legs(MeasuredLobes(record))) == 2
+    assert len(half_vector_segments(MeasuredLobes(record))) == 2
     check_samples(record, 75, 40, tmp_path)
 
 
@@ -191,7 +191,7 @@ def shares(face, wi, patches):
 
 @pytest.mark.parametrize(("reflects", "eta"), [(True, None), (False, 1.5)])
 def test_samples_follow_values_where_lanes_move_in_different_ways(reflects, eta):
-    """On each leg, in each hemisphere and between azimuths; twin: by quantiles only."""
+    """On each segment, in each hemisphere, between azimuths; twin: quantiles only."""
     patches, coarse = (
         gonio.subdivision("projected:12x24"),
         gonio.subdivision("projected:6x8"),

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..campaigns.execution import Surroundings, records_of
+from ..campaigns.execution import ExecutionContext, records_of
 from ..campaigns.folder import folder_name
 from ..collector import Subdivision
 from ..errors import LABEL, SettingError, SpecimenError, abridged, warn
@@ -36,7 +36,7 @@ logger = logging.getLogger(__name__)
 # tolerance. Of a half it would be 6 %, for twice the rays.
 NOISE, TESTING, CONFIRMING, INTEGRAL = 3 / 4, 1 / 2, 1 / 4, 1 / 10
 
-# Part of itself that noise hides of an error. Of a difference of x standard errors
+# Fraction of an error that noise masks. Of a difference of x standard errors
 # x erfc(x / sqrt(2)) of them is lost, at most 0.34, and noise is sqrt(2 / pi) of them:
 # at most 0.43, or a half in as few as four batches. If all differences up to x = 3 are
 # equally frequent, a fifth is lost on average.
@@ -63,7 +63,7 @@ class EstimatorRefusedError(Exception):
     """A direction refuses an estimator, where another may be taken."""
 
 
-class KnownDirections:
+class MeasuredDirections:
     """Records of a specimen by incident direction, and the material that they make.
 
     They are the same wherever they are measured, and as precise as the tolerance asks.
@@ -76,7 +76,7 @@ class KnownDirections:
     tolerance : float
         Fraction of the flux that leaves; see
         :class:`~gonio_mi.results.campaign_outcome.PredictionError`.
-    where : Surroundings
+    where : ExecutionContext
     settings : dict
         All other settings of a measurement.
 
@@ -97,7 +97,7 @@ class KnownDirections:
         name: str,
         specimen: SpecimenLike,
         tolerance: float,
-        where: Surroundings,
+        where: ExecutionContext,
         settings: dict[str, Any],
     ) -> None:
         for other in ("rays", "rel_err", "noise"):
@@ -191,7 +191,7 @@ class KnownDirections:
     def _stack(
         self,
         incidents: Sequence[tuple[float, float]],
-        where: Surroundings,
+        where: ExecutionContext,
         settings: dict[str, Any],
         label: str | None = None,
     ) -> Record:

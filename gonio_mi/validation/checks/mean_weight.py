@@ -11,7 +11,7 @@ from ..integrals import SUM_ERROR
 from ..kinds import Kind
 from ..maps import FourMaps, unexplained_fraction
 from ..probe import Probe
-from ..samples import Samples, is_many
+from ..samples import Samples, beyond_rounding
 from .answers import lattice
 
 # Density that no sample ever meets: where `pdf` falls below it before it is 0 (as that
@@ -34,8 +34,8 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
     """Check that ``eval`` and ``pdf`` are not 0 where ``sample`` scatters light."""
     usable = samples.usable
     dark = usable & (samples.eval == 0).all(axis=1)
-    if is_many(dark):
-        both = is_many(dark & (samples.pdf == 0))
+    if beyond_rounding(dark):
+        both = beyond_rounding(dark & (samples.pdf == 0))
         functions = "`eval` and `pdf` are" if both else "`eval` is"
         evidence.breach(
             "weights",
@@ -94,11 +94,11 @@ def check_maps(evidence: Evidence, maps: FourMaps) -> None:
             off=min(lost / flux, 1.0),
         )
     elif maps.judged < MIN_JUDGED:
-        evidence.lesser["weights"] = NOISE
+        evidence.downgraded["weights"] = NOISE
         evidence.undecided["weights"] = (
             f"tails are too heavy: {1 - maps.judged:.2g} of the light at "
             f"{maps.condition} is in weights that {maps.totals.n} samples meet too "
-            "rarely, a noise that a sampler nearer to `eval` has not"
+            "rarely, importance sampling closer to `eval` would remove it"
         )
 
 

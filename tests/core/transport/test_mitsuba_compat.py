@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from gonio_mi import mitsuba_names
+from gonio_mi import mitsuba_compat
 
 POINTS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.5]], np.float32)
 FACES = np.array([[0, 1, 2], [1, 3, 2]], np.uint32)
@@ -44,7 +44,7 @@ def of_310(monkeypatch):
         TensorXu32=np.uint32,
     )
     monkeypatch.setitem(sys.modules, "mitsuba", stand_in)
-    path = mitsuba_names.__file__
+    path = mitsuba_compat.__file__
     spec = importlib.util.spec_from_file_location("gonio_mi.of_310", path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -53,7 +53,7 @@ def of_310(monkeypatch):
 
 def test_flags():
     flags = mi.RayFlags
-    own = mitsuba_names
+    own = mitsuba_compat
     assert (
         flags.Minimal,
         flags.ShadingFrame,
@@ -69,16 +69,16 @@ def test_new_flags(of_310):
 
 @pytest.mark.usefixtures("mono")
 def test_mesh():
-    mesh = mitsuba_names.mesh_of(
+    mesh = mitsuba_compat.mesh_of(
         mi.Properties("ply"), "square", POINTS, FACES, texcoords=UV
     )
-    points, faces = mitsuba_names.triangles_of(mi.traverse(mesh))
+    points, faces = mitsuba_compat.triangles_of(mi.traverse(mesh))
     assert (points == POINTS).all()
     assert (faces == FACES).all()
     assert 'name = "square"' in str(mesh)
     assert mesh.has_vertex_texcoords()
     assert not mesh.has_vertex_normals()
-    assert mitsuba_names.triangles_of({"to_world": None}) is None
+    assert mitsuba_compat.triangles_of({"to_world": None}) is None
 
 
 def test_new_mesh(of_310):

@@ -11,7 +11,7 @@ import numpy as np
 from ..conditions import Effort, Sweep
 from ..evidence import PHASE, Evidence
 from ..probe import Probe, numbers, spectral
-from ..samples import Samples, is_many, samples_of, unequal
+from ..samples import Samples, beyond_rounding, samples_of, unequal
 from . import (
     answers,
     cost,
@@ -53,7 +53,7 @@ def _modes_disagree(bsdf: mi.BSDF, samples: Samples) -> bool:
     differs |= unequal(numbers(bs.pdf, n), samples.sampled_pdf, 0.0)
     differs |= unequal(eta2 * samples.other_mode, samples.eval, slack)
     differs |= unequal(probe.densities(samples.wo), samples.pdf, samples.pdf_slack)
-    return is_many(differs & given)
+    return beyond_rounding(differs & given)
 
 
 def _check_identities(evidence: Evidence, samples: Samples) -> None:
