@@ -213,8 +213,8 @@ def half_vector_segments(lobes: MeasuredLobes) -> list[HalfVectorLegs]:
     """How lobes move between polar angles, as a record's own directions say.
 
     On a segment by quantiles (:class:`.QuantileTransport`), or with micro-normals that
-    stay where these predict the nearest record better, as a camera sees it, from those of
-    the next smaller and the next larger angle.
+    stay where these predict the nearest record better, as a camera sees it, from those
+    of the next smaller and the next larger angle.
     """
     n_angles = len(lobes.grid.theta_i)
     if n_angles < 3:

@@ -48,8 +48,8 @@ class TransportTable:
 
     A *segment* leads from one polar angle to the next; there are ``K = max(N - 1, 1)``.
     Across a segment, histogram edges of both ends cut the disk into
-    ``S = 2 N_CELLS - 1`` strips of x, and each strip into ``S`` cells of ``y / sqrt(1 - x^2)``; within one,
-    points move together.
+    ``S = 2 N_CELLS - 1`` strips of x, and each strip into ``S`` cells of
+    ``y / sqrt(1 - x^2)``; within one, points move together.
 
     Attributes
     ----------
