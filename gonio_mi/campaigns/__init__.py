@@ -1,1 +1,1 @@
-"""Many directions of many specimens: tasks, folders, workers, and choosing them."""
+"""Many directions of many specimens: tasks, folders, workers."""

@@ -17,6 +17,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..annexes import doors
 from ..errors import (
     SettingError,
     SpecimenError,
@@ -239,7 +240,9 @@ def _no_metal(word: str) -> str:
 def _plugin_files() -> dict[str, Path]:
     """Files of Mitsuba's own plugins and of ours, which have their names."""
     folders = Path(mi.__file__).parent, Path(__file__).parents[1]
-    files = (path for one in folders for path in (one / "plugins").rglob("*.*"))
+    files = [path for one in folders for path in (one / "plugins").rglob("*.*")]
+    for _, door in doors():
+        files += [Path(str(door.__file__)).with_name(f"{n}.py") for n in door.PLUGINS]
     return {path.stem: path for path in files if path.suffix in PLUGINS}
 
 

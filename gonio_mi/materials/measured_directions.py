@@ -156,7 +156,7 @@ class MeasuredDirections:
             return
         started = time.perf_counter()
         # fits a terminal
-        label = f"{abridged(self.name, 16)}, {len(self.records)} measured, {purpose}"
+        label = f"{abridged(self.name, 12)}, {len(self.records)} measured, {purpose}"
         logger.info("%s: %d more", label, len(new))
         part = f"{self.estimators[0]}_{self.n_rounds:03d}"
         settings = self.settings | self._goals(goal)
@@ -224,7 +224,7 @@ class MeasuredDirections:
         if len(self.estimators) == 1:
             return
         settings = self.settings | {"estimator": Estimator.WEIGHTED, "rays": PROBE_RAYS}
-        label = f"{abridged(self.name, 16)}, is sample() like eval()?"
+        label = f"{abridged(self.name, 12)}, is sample() like eval()?"
         record = self._kept("functions", [incident], settings, label)
         integral = self.records[incident]
         error = prediction_error(record, integral.flux_fraction)

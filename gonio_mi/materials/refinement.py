@@ -17,7 +17,7 @@ from ..results.campaign_outcome import PredictionError
 # Azimuths of an anisotropic specimen to begin with.
 N_FIRST_AZIMUTHS = 8
 
-# Legs are not split into parts below so many degrees. What a split leaves of the error
+# Segments are not split into parts below so many degrees. What a split leaves of the error
 # of a segment: more than a fourth, since lobes change faster towards grazing incidence.
 MIN_SEGMENT_WIDTH = 0.25
 ERROR_LEFT_BY_SPLIT = 1 / 2
@@ -221,7 +221,7 @@ class IncidentRings:
         return before != (len(self.segments.errors), len(self.gaps.errors))
 
     def _around(self, one: PredictionError) -> tuple[Interval, list[Interval]]:
-        """Leg that holds a direction, and the gaps of azimuth on both its ends."""
+        """Segment that holds a direction, and the gaps of azimuth on both its ends."""
         segment = self.segments.around(one.theta_i)
         symmetry = self.symmetry
         sector = symmetry.home(one.phi_i * symmetry.n_sectors / 360)

@@ -1,1 +1,1 @@
-"""Surfaces: heights, their statistics, micro-normals, masking and shadowing."""
+"""Surfaces: height maps, meshes, heights and their statistics."""

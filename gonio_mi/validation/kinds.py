@@ -2,7 +2,7 @@
 
 A script begins with `ctx`, `si` and samples `bs` and `weight` of them, of numbers `u`;
 these lines compare what should be equal. Words in capitals are filled in by
-:mod:`.reproducer`.
+:mod:`.reproducers`.
 """
 
 from __future__ import annotations

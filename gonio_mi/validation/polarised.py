@@ -100,7 +100,7 @@ def examine_polarised(
     evidence : Evidence
     effort : str
     specimen : object
-        As of :func:`gonio_mi.validation.examination`.
+        As of :func:`gonio_mi.validate`.
     load : callable or None
         Loads the same BSDF in the variant that is set.
     """

@@ -23,7 +23,7 @@ def assert_bsdf_valid(
 ) -> Verdict:
     """Raise AssertionError with the verdict if a BSDF plugin is wrong.
 
-    Parameters and further errors as of :func:`gonio_mi.validation.examination`.
+    Parameters and further errors as of :func:`gonio_mi.validate`.
 
     Returns
     -------
@@ -80,7 +80,7 @@ def _known(
 
 
 class ChiSquareTest(chi2.ChiSquareTest):
-    """Mitsuba's test, and :func:`gonio_mi.validation.examination` after it.
+    """Mitsuba's test, and :func:`gonio_mi.validate` after it.
 
     A test of a plugin that has ``from mitsuba.chi2 import ...`` becomes one of all its
     functions, at all directions, by ``from gonio_mi.testing import ...``. Whatever does

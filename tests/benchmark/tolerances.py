@@ -195,9 +195,8 @@ def _measured(
     if own["rel_err"] is None:
         own["noise"] = noise * chosen.settings["campaign"]["tolerance"]
     settings = own | {"collector": chosen.subdivision} | case.settings
-    return records_of({"it": case.specimen}, incidents, ExecutionContext(), settings)[
-        "it"
-    ]
+    where = ExecutionContext()
+    return records_of({"it": case.specimen}, incidents, where, settings)["it"]
 
 
 def _errors(record: Record, unseen: Record, tolerance: float) -> list[PredictionError]:

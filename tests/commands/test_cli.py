@@ -357,6 +357,10 @@ def test_precision_that_is_reached_exits_with_0(run):
             ("measure", "cosinelobe:expnent=3", *QUICK[2:]),
             "cosinelobe has no use for expnent; did you mean exponent?\n",
         ),
+        (
+            ("measure", "goniometrik:filename=none.npz", *QUICK[2:]),
+            "did you mean goniometric?",
+        ),
         (("measure", "diffuse", "--angle", "3"), ": --angle; did you mean --theta-i?"),
         (("measure", "diffuse", "--theta=3"), ": --theta; did you mean --theta-i?"),
         ((*DIFFUSE, "--samples", "30"), ": --samples; did you mean --rays?\n"),

@@ -11,6 +11,7 @@ import pytest
 import gonio_mi as gonio
 from gonio_mi.cli import COMMANDS
 from gonio_mi.exchange.formats import reading
+from gonio_mi.plugins import modules
 
 ROOT = Path(__file__).parents[2]
 PAGES = ROOT / "notebooks"
@@ -43,8 +44,9 @@ def test_reference_shows_what_the_code_says(built):
     plugins = (built / "reference" / "plugins.html").read_text()
     assert "pluginparameters" not in plugins
     assert "rr_depth" in plugins
-    for path in (ROOT / "gonio_mi" / "plugins").glob("*/*.py"):
-        assert path.stem == "__init__" or f'<section id="{path.stem}">' in plugins
+    for name in modules():
+        _, _, stem = name.rpartition(".")
+        assert f'<section id="{stem}">' in plugins
     commands = (built / "reference" / "command_line.html").read_text()
     assert commands.count("usage: gonio-mi") == len(COMMANDS)
 

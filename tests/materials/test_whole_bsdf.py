@@ -20,7 +20,7 @@ from budget import agree, disagree, single
 from scipy import special
 
 import gonio_mi as gonio
-from gonio_mi.campaigns import campaign, tasks
+from gonio_mi.campaigns import tasks
 from gonio_mi.campaigns.execution import ExecutionContext
 from gonio_mi.materials import measured_directions, resolution, whole_bsdf
 from gonio_mi.materials.interpolation import lobes
@@ -421,7 +421,7 @@ def test_ctrl_c_without_a_folder_makes_one(monkeypatch, tmp_path):
         return measure(specimens, *asked)
 
     monkeypatch.setattr(measured_directions, "records_of", counting)
-    monkeypatch.setattr(campaign.tempfile, "mkdtemp", lambda **_: str(tmp_path))
+    monkeypatch.setattr(whole_bsdf.tempfile, "mkdtemp", lambda **_: str(tmp_path))
     whole = gonio.campaign({"a": plates["a"]}, **how)["a"]
     rounds = calls.count("a")
     measured = whole.settings["campaign"]["measured"]
@@ -493,7 +493,7 @@ def test_a_table_that_would_not_fit_ends_the_refinement(monkeypatch):
     whole.isotropic = True
     errors = whole._confirmed()
     assert len(looks) == 2
-    assert "outgrow memory: a collector of fewer patches" in whole.helps
+    assert "exceed the memory: a collector of fewer patches" in whole.helps
     assert whole.rings.directions() == looks[0]
     assert all(one.exceeds(0.1) for one in errors)
     looks[:] = [[]]

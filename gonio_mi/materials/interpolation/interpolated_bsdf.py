@@ -16,7 +16,7 @@ import numpy as np
 from ...array_types import Floats, Integers
 from ...collector.directions import direction
 from .incident_grid import MIN_BENDING, tried_indices
-from .interpolated_lobes import HalfVectorLegs, InterpolatedLobes
+from .interpolated_lobes import HalfVectorSegments, InterpolatedLobes
 from .lobes import LobeTable, MeasuredLobes, mean_lobe
 from .lookups import IncidentPlaces, Place, doubles, read, seen_from, towards
 
@@ -32,7 +32,7 @@ class InterpolatedBSDF:
     table : LobeTable
     wavelengths : sequence of float, optional
         Of the table's channels in nm, for spectral variants.
-    half_vectors : sequence of HalfVectorLegs, optional
+    half_vectors : sequence of HalfVectorSegments, optional
         Of :class:`.InterpolatedLobes`, as :func:`.half_vector_segments` chooses them.
     """
 
@@ -40,7 +40,7 @@ class InterpolatedBSDF:
         self,
         table: LobeTable,
         wavelengths: Floats | None = None,
-        half_vectors: Sequence[HalfVectorLegs] = (),
+        half_vectors: Sequence[HalfVectorSegments] = (),
     ) -> None:
         self.wavelengths = wavelengths
         self.n_azimuths, _, self.n_hemispheres = table.brdf.shape[:3]
@@ -209,7 +209,7 @@ N_POINTS = 4
 INDEX_MARGIN, INDEX_OPTIONS = 0.05, {"xatol": 1e-3}
 
 
-def half_vector_segments(lobes: MeasuredLobes) -> list[HalfVectorLegs]:
+def half_vector_segments(lobes: MeasuredLobes) -> list[HalfVectorSegments]:
     """How lobes move between polar angles, as a record's own directions say.
 
     On a segment by quantiles (:class:`.QuantileTransport`), or with micro-normals that
@@ -226,13 +226,13 @@ def half_vector_segments(lobes: MeasuredLobes) -> list[HalfVectorLegs]:
         eta = _index(lobes, trials) if hemisphere else None
         if hemisphere and eta is None:
             continue
-        by_normals = [HalfVectorLegs(hemisphere, eta, (True,))]
+        by_normals = [HalfVectorSegments(hemisphere, eta, (True,))]
         segments = _better(
             angles,
             [one.error(hemisphere, []) for one in trials],
             [one.error(hemisphere, by_normals) for one in trials],
         )
-        found.append(HalfVectorLegs(hemisphere, eta, segments))
+        found.append(HalfVectorSegments(hemisphere, eta, segments))
     return [one for one in found if any(one.segments)]
 
 
@@ -270,7 +270,7 @@ def _index(lobes: MeasuredLobes, trials: Sequence[_Trial]) -> float | None:
     middle = trials[len(trials) // 2]
 
     def error(eta: float) -> float:
-        return middle.error(1, [HalfVectorLegs(1, eta, (True,))])
+        return middle.error(1, [HalfVectorSegments(1, eta, (True,))])
 
     best = min(tried, key=error)
     around = best * (1 - INDEX_MARGIN), best * (1 + INDEX_MARGIN)
@@ -305,7 +305,9 @@ class _Trial:
         incident = grid.theta_i[angle], grid.phi_i[azimuth]
         self.wi = direction(*np.radians(incident))
 
-    def error(self, hemisphere: int, half_vectors: Sequence[HalfVectorLegs]) -> float:
+    def error(
+        self, hemisphere: int, half_vectors: Sequence[HalfVectorSegments]
+    ) -> float:
         """Sum of absolute errors of radiance over the patches looked at.
 
         With these `half_vectors`, else by quantiles. By radiance: a diffuse part that

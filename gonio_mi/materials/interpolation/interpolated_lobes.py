@@ -125,7 +125,7 @@ class QuantileTransport:
 
 
 @dataclass(frozen=True)
-class HalfVectorLegs:
+class HalfVectorSegments:
     """Where the light of a hemisphere keeps its micro-normals.
 
     Attributes
@@ -147,13 +147,13 @@ class HalfVectorTransport:
 
     Parameters
     ----------
-    half_vectors : sequence of HalfVectorLegs
+    half_vectors : sequence of HalfVectorSegments
     with_azimuth : sequence of int
         Hemispheres where the record's azimuth counts; else lobes turn with incidence.
     """
 
     def __init__(
-        self, half_vectors: Sequence[HalfVectorLegs], with_azimuth: Sequence[int]
+        self, half_vectors: Sequence[HalfVectorSegments], with_azimuth: Sequence[int]
     ) -> None:
         self.half_vectors, self.with_azimuth = half_vectors, with_azimuth
         # an index that is no constant of the kernel: another one compiles nothing
@@ -330,7 +330,7 @@ class InterpolatedLobes:
     table : LobeTable
     incident : IncidentPlaces
         Of the table's grid.
-    half_vectors : sequence of HalfVectorLegs, optional
+    half_vectors : sequence of HalfVectorSegments, optional
         Where light keeps its micro-normals between polar angles; elsewhere it moves by
         :class:`.interpolated_lobes.QuantileTransport`.
     """
@@ -339,7 +339,7 @@ class InterpolatedLobes:
         self,
         table: LobeTable,
         incident: IncidentPlaces,
-        half_vectors: Sequence[HalfVectorLegs] = (),
+        half_vectors: Sequence[HalfVectorSegments] = (),
     ) -> None:
         self.n_hemispheres = table.brdf.shape[2]
         self.incident = incident
@@ -350,7 +350,7 @@ class InterpolatedLobes:
         by_segments = [n for n in number if n not in by_normals]
         every = (True,) * incident.n_segments
         between = [
-            HalfVectorLegs(n, grid.eta if n else None, every)
+            HalfVectorSegments(n, grid.eta if n else None, every)
             for n in by_segments
             if n in moving
         ]

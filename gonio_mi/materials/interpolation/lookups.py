@@ -116,9 +116,7 @@ class Place:
     weight: mi.Float64  # of this azimuth
     azimuth: mi.UInt32  # its index
     segment: mi.UInt32  # index among the segments of all azimuths
-    rows: tuple[
-        mi.UInt32, ...
-    ]  # of azimuth and polar angle at both ends of the segment
+    rows: tuple[mi.UInt32, ...]  # of azimuth and polar angle at both ends of it
     t: mi.Float64  # how far on the segment, from 0 to 1
     past: mi.Float64  # angle from this azimuth to that of incidence
     z_i: mi.Float64  # cosine of the angle of incidence

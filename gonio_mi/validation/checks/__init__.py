@@ -1,1 +1,1 @@
-"""A module for each property of a verdict, named after it; `agreement` asks several."""
+"""A module for each property of a verdict, named after it; `consistency` asks several."""

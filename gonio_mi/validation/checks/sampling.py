@@ -20,7 +20,7 @@ from ..maps import FourMaps, skew_score
 from ..probe import Probe, is_delta, numbers, spectral, uniform, vectors
 from ..samples import samples_of
 from .answers import lattice
-from .mean_weight import check_scores
+from .weights import check_scores
 
 # Bands of the angle of incidence, and sectors of its azimuth, and the least number of
 # equal terms that a sum must be worth.

@@ -89,7 +89,7 @@ def answers_about(
     Parameters
     ----------
     specimen, parameters, plugins, seed
-        As of :func:`gonio_mi.versions.diff`.
+        As of :func:`gonio_mi.validation.versions.diff`.
     python : str
     n : int
         Samples of each view.

@@ -828,6 +828,8 @@ def test_resume_looks_at_the_hemispheres():
     assert again.tallies == upper.tallies  # the twin
 
 
+@pytest.mark.needs("materials")
+@pytest.mark.needs("exchange")
 @pytest.mark.parametrize("command", ["measure", "bsdf"])
 def test_an_output_is_no_file_of_the_specimen(command, tmp_path, capsys):
     """A scene, or the record of a material, is not written over."""

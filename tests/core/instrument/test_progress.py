@@ -144,7 +144,7 @@ def test_a_bar_leaves_room_for_what_it_counts(monkeypatch):
     for name, size in (("COLUMNS", "80"), ("LINES", "24")):
         monkeypatch.setenv(name, size)
     monkeypatch.setattr(sys, "stderr", terminal := Terminal())
-    long = "roughconduct..., 120 measured, 12 of 24 legs open"
+    long = "roughcon..., 120 measured, 12 of 24 segments open"
     for said, shown in ((long, long), ("word " * 20, "word " * 9 + "...")):
         with progress.bar(True, desc=said, total=120, unit="direction") as report:
             report(3)

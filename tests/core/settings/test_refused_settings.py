@@ -13,7 +13,6 @@ from budget import agree, disagree, normal_scores, single
 from specimens import diffuse_groove_dhr
 
 from gonio_mi.cli import main
-from gonio_mi.exchange.exports import export
 from gonio_mi.instrument import specimen_text
 from gonio_mi.instrument.incidence import USUAL_ANGLES, incident_angles
 
@@ -350,6 +349,7 @@ def test_small_angles_in_degrees_are_not_taken_for_radians():
 @pytest.mark.parametrize("ending", ["npz", "xml", "exr"])
 def test_material_file_in_one_word(tmp_path, ending, monkeypatch, capsys):
     """A plugin's setting may end in .xml; a scene file may be absent."""
+    from gonio_mi.exchange.exports import export
 
     record = gonio.measure(PLATE, theta_i=[0, 45], rays=4096, collector="klems")
     monkeypatch.chdir(tmp_path)

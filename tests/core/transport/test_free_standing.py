@@ -308,6 +308,7 @@ def test_a_ball_of_white_fog_loses_nothing():
     disagree(total_score(straight, passed(2.2), "dht"))
 
 
+@pytest.mark.needs("analysis")
 def test_exit_profile_of_a_white_block():
     """Rounding: rings and what is beyond add up to all light, by sides too."""
     block = {

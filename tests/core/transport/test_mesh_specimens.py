@@ -159,6 +159,7 @@ def test_what_stands_upright_is_warned_of(tmp_path, capsys):
     assert "normal" not in capsys.readouterr().err
 
 
+@pytest.mark.needs("exchange")
 def test_the_command_line_measures_a_mesh(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "slat.obj").write_bytes(obj(CORNERS))

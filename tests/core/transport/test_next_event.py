@@ -116,7 +116,7 @@ def test_deposits_are_unbiased(name):
     disagree(verdict(scores(deposited, 1.1 * shares)))
 
 
-def test_a_lower_hemisphere_that_seems_dark(monkeypatch):
+def test_a_lower_hemisphere_that_appears_dark(monkeypatch):
     """Exact: through gaps it does not; and where that is wrong, there is no bias.
 
     Twin: nearly a third off, since few points went there.

@@ -18,7 +18,7 @@ from gonio_mi.materials.interpolation.interpolated_bsdf import (
     InterpolatedBSDF,
     half_vector_segments,
 )
-from gonio_mi.materials.interpolation.interpolated_lobes import HalfVectorLegs
+from gonio_mi.materials.interpolation.interpolated_lobes import HalfVectorSegments
 from gonio_mi.materials.interpolation.lobes import MeasuredLobes
 from gonio_mi.materials.prediction import Prediction
 from gonio_mi.results.prediction_error import prediction_error
@@ -87,7 +87,7 @@ def test_diffuse_light_is_as_bright_at_the_horizon_as_elsewhere(theta_i):
     even = patches.projected_solid_angles / patches.projected_solid_angles.sum() / 4
     lobes = MeasuredLobes(record_of(patches, ANGLES, facets + even))
     table, own = lobes.whole(), half_vector_segments(lobes)
-    every = HalfVectorLegs(0, None, (True,) * 3)
+    every = HalfVectorSegments(0, None, (True,) * 3)
     theta, phi = np.meshgrid(
         np.radians([83, 85, 87]), np.radians(np.arange(60, 301, 5))
     )
@@ -206,8 +206,8 @@ def test_samples_follow_values_where_lanes_move_in_different_ways(reflects, eta)
     table = MeasuredLobes(record).whole()
     table = replace(table, grid=replace(table.grid, reflects=reflects, eta=eta))
     ways = (
-        HalfVectorLegs(0, None, (False, True, False)),
-        HalfVectorLegs(1, 1.5, (True, False, True)),
+        HalfVectorSegments(0, None, (False, True, False)),
+        HalfVectorSegments(1, 1.5, (True, False, True)),
     )
     face, quantiles = (
         InterpolatedBSDF(table, half_vectors=ways),

@@ -1,0 +1,1 @@
+"""Tables of measured values in text, under any headings."""
