@@ -130,6 +130,8 @@ def _traced(
         if deposits.rays < MIN_RAYS * settings.batches:
             return usual, "weighted, for the rays are few"
     sent = _short_run(tried, usual, round(short * cost))
+    if not sent.incident.any():
+        return usual, "weighted, for no ray of a short run met the specimen"
     error = _error(settings, sent)
     if by_rays and not by_facets and _hides_bright_places(settings, deposits, sent):
         return usual, "weighted, for next_event may overlook rare bright places"
@@ -177,7 +179,8 @@ def _error(settings: MeasurementSettings, sent: Tally) -> float:
 
     Relative to itself for `rel_err`; else the sum over patches, as of `noise`.
     """
-    fractions = sent.sums / sent.incident[:, None, None, None]
+    # of few rays, all may miss a specimen with openings in some batch
+    fractions = sent.sums / sent.incident.mean(axis=0)
     mean, scatter = fractions.mean(axis=0), fractions.std(axis=0, ddof=1)
     if settings.rel_err is None:
         return float(scatter.sum())

@@ -312,7 +312,7 @@ def _settled(
 
 def _check_sums_fit(setups: Sequence[Setup], plan: Sequence[int]) -> None:
     """Raise ValueError if the sums of all setups do not fit into memory."""
-    n_orders = max(1, len(setups[0].orders))
+    n_orders = max(len(setups[0].orders), len(setups[0].classes))
     sums = n_orders * sum(setup.n_collected for setup in setups)
     # while they are joined; and beside those of the rounds before
     n_rounds = len(rounds(plan, round_rays(setups[0])))

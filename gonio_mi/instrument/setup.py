@@ -171,9 +171,10 @@ def _check_specimen(specimen: Specimen, settings: MeasurementSettings) -> None:
     phases = [medium.phase_function() for medium in specimen.media]
     written = (type(one) for phase in phases for one in foreign_plugins(phase))
     nm = settings.wavelengths[:4]
-    key = mi.variant(), nm, specimen.digest, frozenset(written)
+    box = specimen.low, specimen.high
+    corners = *specimen.low, *specimen.high  # of the cell, or what gaps are thin by
+    key = mi.variant(), nm, specimen.digest, corners, frozenset(written)
     if key not in _defects:
-        box = specimen.low, specimen.high
         found = filter(None, (phase_defect(phase, lanes[0], *box) for phase in phases))
         sentences = list(dict.fromkeys([*specimen.thin_gaps(), *found]))
         for sentence in sentences:

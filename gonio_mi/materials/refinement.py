@@ -17,8 +17,9 @@ from ..results.campaign_outcome import PredictionError
 # Azimuths of an anisotropic specimen to begin with.
 N_FIRST_AZIMUTHS = 8
 
-# Segments are not split into parts below so many degrees. What a split leaves of the error
-# of a segment: more than a fourth, since lobes change faster towards grazing incidence.
+# Segments are not split into parts below so many degrees. What a split leaves of the
+# error of a segment: more than a fourth, since lobes change faster at grazing
+# incidence.
 MIN_SEGMENT_WIDTH = 0.25
 ERROR_LEFT_BY_SPLIT = 1 / 2
 

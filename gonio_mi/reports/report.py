@@ -254,7 +254,8 @@ def _direction(summary: Summary, index: int) -> dict[str, Any]:
         rows.append(["ledger (counts rays, not power)", "rays", "share of rays", ""])
     for name, n in found.ledger.items():
         if n:
-            rows.append([name, grouped(n), f"{percent(n, emitted)} %", ""])
+            label = "of these over the edge" if name == "over_the_edge" else name
+            rows.append([label, grouped(n), f"{percent(n, emitted)} %", ""])
     return {"theta_i": found.theta_i, "phi_i": found.phi_i, "rows": rows}
 
 

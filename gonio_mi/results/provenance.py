@@ -139,7 +139,7 @@ class Provenance:
     media : tuple of str
         A line on each.
     defects : tuple of str
-        Sentences on what is wrong with functions of the specimen.
+        Sentences on what is wrong with functions or surfaces of the specimen.
     digest, emitter_digest, plugin_digest : str
         Of the specimen; of its emitter, None for a collimated beam; and of the text of
         what is written in Python of both.

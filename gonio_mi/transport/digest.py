@@ -31,7 +31,10 @@ LENGTH = 16
 ADDRESS = re.compile(r"\b0x[0-9a-fA-F]+")
 # Of a mesh that is no emitter, only once it was asked for.
 AREA = re.compile(r"\n *surface_area = .*")
-IMPORT = re.compile(r"^[ \t]*(?:from|import)\b.*", re.MULTILINE)
+# Import statements, with what stands in parentheses or after a backslash.
+IMPORT = re.compile(
+    r"^[ \t]*(?:from|import)\b(?:[^\n(\\]*\([^)]*\)|(?:\\\n|[^\n])*)", re.MULTILINE
+)
 FILE = re.compile(r'filename ?= ?"?([^",\]\n]+)')
 
 

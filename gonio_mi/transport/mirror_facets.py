@@ -121,7 +121,9 @@ class MirrorFacets:
             ]
         )
         if not self.once:
-            cosine = abs(np.array(area) / np.array(size))
+            area, size = abs(np.array(area)), np.array(size)
+            # a triangle whose corners coincide has no area
+            cosine = np.divide(area, size, out=np.zeros_like(size), where=size > 0)
             self._scene_for(setup.specimen, entered, cosine, share.sum())
 
     def _scene_for(

@@ -967,7 +967,7 @@ def test_help_and_version(capsys):
         with pytest.raises(SystemExit) as caught:
             cli.main(arguments)
         assert caught.value.code == 0
-    assert capsys.readouterr().out.endswith("gonio-mi 0.1.0\n")
+    assert capsys.readouterr().out.endswith("gonio-mi 1.0.0.dev0\n")
 
 
 def test_commands_are_quick_to_import():

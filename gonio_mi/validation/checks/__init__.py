@@ -1,1 +1,1 @@
-"""A module for each property of a verdict, named after it; `consistency` asks several."""
+"""A module for each property, named after it; `consistency` asks for several."""

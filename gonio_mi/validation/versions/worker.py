@@ -1,9 +1,9 @@
 """Last lines of scripts, in the Mitsuba of whichever Python runs this file.
 
 ``python worker.py FOLDER`` reads ``question.json`` there and prints a line of JSON for
-each script, as soon as it has ended, see
-:mod:`gonio_mi.validation.versions.asking`. It needs nothing but NumPy and Mitsuba, and is meant to run with versions that the rest of the
-package knows nothing of: vectors are made and read component by component.
+each script, as soon as it has ended, see :mod:`gonio_mi.validation.versions.asking`. It
+needs nothing but NumPy and Mitsuba, and is meant to run with versions that the rest of
+the package knows nothing of: vectors are made and read component by component.
 """
 
 from __future__ import annotations

@@ -297,6 +297,22 @@ def test_a_python_file_has_one_digest_in_all_locales(tmp_path, monkeypatch):
     assert file_digest(plugin) != own
 
 
+@pytest.mark.parametrize(
+    "statement",
+    ["import {}", "from {} import (\n    NAME,\n)", "from . import (\n    {},\n)"],
+)
+def test_a_digest_sees_helpers_however_they_are_imported(tmp_path, statement):
+    """Exact; the twin: what no statement names may change."""
+    plugin, helper = tmp_path / "plugin.py", tmp_path / "the_helper.py"
+    plugin.write_text(statement.format("the_helper"))
+    other = tmp_path / "another.py"
+    digests = []
+    for name, text in ((helper, "A = 1"), (other, "A = 1"), (helper, "A = 2")):
+        name.write_text(text)
+        digests.append(file_digest(plugin))
+    assert digests[0] == digests[1] != digests[2]
+
+
 def test_a_folder_sees_the_data_of_bitmaps(tmp_path):
     for make in SPECIMENS:
         folder = tmp_path / make.__name__
