@@ -93,7 +93,8 @@ def seeded(
         begin, sampler.start = divmod(begin, 2**32)
     elif sampler_name(sampler) in OF_FIXED_SIZE:
         _set_size(sampler, n)
-    seeds = mi.UInt32(_seeds([(*key, begin) for key in keys]))
+    # of a list: kernels know how arrays of NumPy are aligned in memory
+    seeds = mi.UInt32(_seeds([(*key, begin) for key in keys]).tolist())
     dr.make_opaque(seeds)
     sampler.seed(seeds, len(keys) * n)
     return sampler
