@@ -247,7 +247,9 @@ def test_directions_near_the_tolerance_are_measured_finer(integrates, monkeypatc
     known, asked = plate(), []
     known.estimators = [estimator]
     monkeypatch.setattr(
-        known, "measure", lambda some, _, noise=0.75, *rest: asked.append((len(some), noise))
+        known,
+        "measure",
+        lambda some, _, noise=0.75, *_rest: asked.append((len(some), noise)),
     )
     monkeypatch.setattr(known, "prediction", lambda *_: None)
     monkeypatch.setattr(
