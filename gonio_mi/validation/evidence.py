@@ -11,6 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..array_types import Flags, Floats
+from ..single_precision import BSDF_ROUNDING
 from .conditions import Condition
 from .kinds import Kind, MatrixKind
 from .maps import FourMaps
@@ -323,8 +324,13 @@ class Evidence:
         return [one for one in self.breaches if one.name == name]
 
     def worst(self, name: str) -> Breach | None:
-        """The worst breach of a property; None without."""
-        return max(self.of(name), key=lambda one: one.size, default=None)
+        """The worst breach of a property, of equal ones the first; None without."""
+        found = self.of(name)
+        worst = max(found, key=lambda one: one.size, default=None)
+        if worst is None:
+            return None
+        equal = worst.size * (1 - BSDF_ROUNDING)  # the same mistake in two functions
+        return next((one for one in found if one.size >= equal), worst)
 
     def remark(self, name: str, text: str) -> None:
         """Note something that does not make a property fail."""

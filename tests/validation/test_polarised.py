@@ -208,9 +208,7 @@ def test_mistake_is_seen_and_its_function_named(name):
     verdict = validate({"type": name}, effort="quick", strict=True)
     function, words = MISTAKES[name]
     assert not verdict.passed, str(verdict)
-    # both functions take directions in the world there: to name either is right
-    right = {"eval", "sample"} if name == "world_frames" else {function}
-    assert verdict.function in right, str(verdict)
+    assert verdict.function == function, str(verdict)
     assert words in verdict.mistake, str(verdict)
 
 
