@@ -162,16 +162,10 @@ _SUN = """
 """
 
 
-def _visible() -> Light:
-    parts = np.array(_SEEN.split(), dtype=float)
-    return Light("visible", np.arange(380.0, 781, 10), parts / parts.sum())
+_parts = np.array(_SEEN.split(), dtype=float)
+VISIBLE = Light("visible", np.arange(380.0, 781, 10), _parts / _parts.sum())
 
-
-def _solar() -> Light:
-    """Sunlight, by the trapezoidal rule."""
-    nm, power = np.array(_SUN.split(), dtype=float).reshape(-1, 2).T
-    steps = np.diff(nm, prepend=nm[0]) + np.diff(nm, append=nm[-1])
-    return Light("solar", nm, power * steps / (power @ steps))
-
-
-VISIBLE, SOLAR = _visible(), _solar()
+# Sunlight by the trapezoidal rule.
+_nm, _power = np.array(_SUN.split(), dtype=float).reshape(-1, 2).T
+_steps = np.diff(_nm, prepend=_nm[0]) + np.diff(_nm, append=_nm[-1])
+SOLAR = Light("solar", _nm, _power * _steps / (_power @ _steps))

@@ -17,7 +17,7 @@ from ...files import replacing
 from ...materials.resampling import Material, resampled, specular_peaks
 from ...results.record import XYZ, Record, fractions_of
 from ..formats import radiance, radiance_material
-from ..formats.radiance import RANKS, Product, RadianceBSDF
+from ..formats.radiance import OTHER, RANKS, Product, RadianceBSDF
 from ..formats.tensor_tree import TensorTree, isotropic_incidence
 from .daylight import VISIBLE, lit_by, of_daylight
 from .loss import Loss, check_channels, losses
@@ -83,7 +83,13 @@ def write_radiance(
     records, solar = of_daylight(records, solar)
     blocks: dict[tuple[str, str], Any] = {}
     sides = [Side(record, basis, progress) for record in records]
-    _warn_of_missing_side(records)
+    if len(records) == 1:
+        lit, other = records[0].asked.side, OTHER[records[0].asked.side]
+        warn(
+            f"the file describes light from the {lit} only, and the {other} reflects "
+            f"nothing in it: measure with the side {other} too, and export both "
+            "records to one file"
+        )
     # a side that is black, or grey, has one channel
     colours = max(len(record.channels) for record in records)
     for side in sides:
@@ -141,18 +147,6 @@ def _check_sides(records: Sequence[Record]) -> None:
         )
 
 
-def _warn_of_missing_side(records: Sequence[Record]) -> None:
-    """Warn if the file knows light from one side only."""
-    side = records[0].asked.side
-    if len(records) == 1:
-        other = "back" if side == "front" else "front"
-        warn(
-            f"the file describes light from the {side} only, and the {other} reflects "
-            f"nothing in it: measure with the side {other} too, and export both "
-            "records to one file"
-        )
-
-
 class Side:
     """What a record of one lit face becomes in a file."""
 
@@ -182,14 +176,22 @@ class Side:
             values = np.repeat(values, colours // values.shape[-1] or 1, axis=-1)
             if self.rank is None:
                 blocks |= matrices(np.swapaxes(values, 0, 1), name)
-            else:
-                blocks |= trees(self._grid(values, self.rank), name)
+                continue
+            size = self.patches.shape[0]
+            grid = values.reshape(-1, *[size] * (self.rank - 1), values.shape[-1])
+            if self.rank == 3:  # its unused half holds the mean of the other
+                unused = np.broadcast_to(grid.mean(axis=(0, 1, 2)), grid.shape)
+                grid = np.concatenate([grid, unused])
+            blocks |= trees(grid, name)
         return blocks
 
     def _flux(self, hemisphere: int) -> Floats:
         """Flux fractions of the file's patches, incident times exit times channels."""
-        if self.measured:
-            return self._in_order(hemisphere)
+        if self.measured:  # in the order of the file
+            patches = _flight_patches(self.record, self.patches)
+            order = np.argsort(-self.record.theta_i if self.rank == 3 else patches)
+            flux = fractions_of(self.record)[order, hemisphere]
+            return flux.reshape(len(flux), -1, flux.shape[-1])
         n_in = POINTS_IN if self.rank is None else CELL_POINTS
         n_out = POINTS_OUT if self.rank is None else CELL_POINTS
         if self.rank == 3:
@@ -200,28 +202,6 @@ class Side:
             theta_i, phi_i = np.degrees(angles(flight * [-1, -1, 1]))
         where = hemisphere, theta_i, phi_i, self.patches, n_out
         return resampled(self.material, *where, progress=self.progress)
-
-    def _grid(self, values: Floats, rank: int) -> Floats:
-        """Cells of a tensor tree, ``(size, ..., channels)``.
-
-        The half that rank 3 does not use holds the mean of the other.
-        """
-        size = self.patches.shape[0]
-        grid = values.reshape(-1, *[size] * (rank - 1), values.shape[-1])
-        if rank == 4:
-            return grid
-        unused = np.broadcast_to(grid.mean(axis=(0, 1, 2)), grid.shape)
-        return np.concatenate([grid, unused])
-
-    def _in_order(self, hemisphere: int) -> Floats:
-        """Flux fractions as measured, ``(n_in, n_patches, channels)``."""
-        record = self.record
-        if self.rank == 3:
-            order = np.argsort(-record.theta_i)
-        else:
-            order = np.argsort(_flight_patches(record, self.patches))
-        flux = fractions_of(record)[order, hemisphere]
-        return flux.reshape(len(flux), -1, flux.shape[-1])
 
     def warn_if_exchanged(self, written: RadianceBSDF, noise: float) -> None:
         """Warn of reflection that Radiance renders with source and view exchanged.

@@ -415,17 +415,12 @@ class RadianceBSDF:
         else:
             points = coordinates(self.rank, theta_i, phi_i, wo)
             parts = np.stack([block.at(points) for block in blocks], axis=-1)
-            if len(blocks) == 3:
-                parts = _xyz_of_yuv(*parts.T)
+            if len(blocks) == 3:  # luminance and chromaticity, u' and v' of CIE 1976
+                y, u, v = parts.T
+                v = np.where(v > 0, v, WHITE[1])
+                x, z = y * 9 * u / (4 * v), y * (12 - 3 * u - 20 * v) / (4 * v)
+                parts = np.stack([x, y, z], axis=-1)
         return parts if len(blocks) == 1 else parts @ np.linalg.inv(XYZ).T
-
-
-def _xyz_of_yuv(y: Floats, u: Floats, v: Floats) -> Floats:
-    """CIE XYZ of luminance and the chromaticity u', v', shape ``(n, 3)``."""
-    v = np.where(v > 0, v, WHITE[1])
-    x = y * 9 * u / (4 * v)
-    z = y * (12 - 3 * u - 20 * v) / (4 * v)
-    return np.stack([x, y, z], axis=-1)
 
 
 def has_back(path: str | PathLike[str]) -> bool:

@@ -18,7 +18,7 @@ from ...results.patch_means import PatchMeans
 from ...results.record import Record, chosen_channel
 from ..tables.reader import Specified, read_text
 from .format import Format, without_mark
-from .scatter import Points, Scatter, scatter_means
+from .scatter import Scatter, scatter_means
 
 QUANTITIES = ("brdf", "btdf")
 
@@ -243,42 +243,30 @@ def read_measured(
     if quantity not in (None, "brdf", *(() if known.reflection_only else ("btdf",))):
         held = "brdf" if known.reflection_only else "brdf or btdf"
         raise SettingError(f"{path} holds {held}, got the quantity {shown(quantity)}")
-    points, quantity = _points(known, path, quantity)
-    return repeats_noted(_table(points, path, channel, quantity))
-
-
-def _table(
-    points: Points, path: str | PathLike[str], channel: str | None, quantity: str
-) -> MeasuredTable:
-    """Values of one channel as a table."""
-    channel = chosen_channel(path, points.channels, channel)
-    values = points.values[:, points.channels.index(channel)]
-    known_values = ~(np.isnan(values) & points.partial)
-    several = len(points.channels) > 1 or channel.endswith("nm")
-    settings: Any = {"channel": channel if several else None, "quantity": quantity}
-    settings |= {"header": points.header, "notes": points.notes, "name": str(path)}
-    columns = *points.angles[known_values].T, values[known_values]
-    try:
-        return MeasuredTable(*columns, **settings)
-    except ValueError as error:
-        raise FileFormatError(f"{path}: {error}") from None
-
-
-def _points(
-    known: Format, path: str | PathLike[str], quantity: str | None
-) -> tuple[Points, str]:
-    """Values at pairs of directions of a file, and their quantity."""
     with open(path, "rb") as stream:
         if known.points is not None:
             with _named(path):
-                return known.points(stream, quantity), quantity or "brdf"
-        with _named(f"cannot load {path}"):
-            scatter = _scatter(known, stream, path)
-    held = [name for h, name in enumerate(QUANTITIES) if scatter.of(h)]
-    if quantity is None and len(held) == 1:
-        quantity = held[0]
-    if quantity is None or quantity not in held:
-        raise SettingError(
-            f"{path} holds {' and '.join(held)}: say --quantity {' or '.join(held)}"
-        )
-    return scatter.points(quantity), quantity
+                points = known.points(stream, quantity)
+        else:
+            with _named(f"cannot load {path}"):
+                scatter = _scatter(known, stream, path)
+            held = [name for h, name in enumerate(QUANTITIES) if scatter.of(h)]
+            quantity = held[0] if quantity is None and len(held) == 1 else quantity
+            if quantity not in held:
+                raise SettingError(
+                    f"{path} holds {' and '.join(held)}: say --quantity "
+                    f"{' or '.join(held)}"
+                )
+            points = scatter.points(quantity)
+    channel = chosen_channel(path, points.channels, channel)
+    values = points.values[:, points.channels.index(channel)]
+    rows = ~(np.isnan(values) & points.partial)
+    several = len(points.channels) > 1 or channel.endswith("nm")
+    settings: Any = {"channel": channel if several else None}
+    settings |= {"header": points.header, "notes": points.notes, "name": str(path)}
+    columns = *points.angles[rows].T, values[rows]
+    try:
+        table = MeasuredTable(*columns, quantity=quantity or "brdf", **settings)
+    except ValueError as error:
+        raise FileFormatError(f"{path}: {error}") from None
+    return repeats_noted(table)

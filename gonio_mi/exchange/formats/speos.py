@@ -24,7 +24,7 @@ import numpy as np
 
 from ...array_types import Floats
 from ...files.checks import require
-from ...files.numbers import decimal
+from ...files.numbers import decimal, is_decimal
 from ...results.record import wavelengths_nm
 from .format import Format, Lines, check_size
 from .scatter import Block, Scatter, total_of
@@ -40,26 +40,6 @@ FIRST_VERSION = 8.0
 BINARY = "it is binary: save it as text with Speos's BSDF viewer"
 
 
-def _opened(stream: BinaryIO) -> tuple[Lines, str, str]:
-    """Lines after the description, the first one, and the comment."""
-    rows = Lines(stream, not_text=BINARY)
-    head = rows.row().strip()
-    require(head.startswith("OPTIS"), "it is no file of Speos")
-    kind, _, version = head.rpartition(" v")
-    require(kind.startswith((ANISOTROPIC, SPECTRAL)), f"it is a {head:.60}")
-    try:
-        known = decimal(version) >= FIRST_VERSION
-    except ValueError:
-        known = False
-    reason = f"it has the version {version:.10}: save it anew with Speos's BSDF viewer"
-    require(known, reason)
-    require(rows.row().strip()[:1] == "0", BINARY)
-    comment = rows.row().strip()
-    rows.skip(rows.whole(1)[0])
-    rows.row()
-    return rows, head, comment
-
-
 def read(stream: BinaryIO) -> Scatter:
     """Read a file of either kind.
 
@@ -68,11 +48,20 @@ def read(stream: BinaryIO) -> Scatter:
     FileFormatError
         If it is something else, binary, damaged, or announces more than it holds.
     """
-    rows, head, comment = _opened(stream)
-    header = {"comment": comment} if comment else {}
-    if head.startswith(ANISOTROPIC):
-        return _read_anisotropic(rows, header)
-    return _read_spectral(rows, header)
+    rows = Lines(stream, not_text=BINARY)
+    head = rows.row().strip()
+    require(head.startswith("OPTIS"), "it is no file of Speos")
+    kind, _, version = head.rpartition(" v")
+    require(kind.startswith((ANISOTROPIC, SPECTRAL)), f"it is a {head:.60}")
+    known = is_decimal(version) and decimal(version) >= FIRST_VERSION
+    reason = f"it has the version {version:.10}: save it anew with Speos's BSDF viewer"
+    require(known, reason)
+    require(rows.row().strip()[:1] == "0", BINARY)
+    comment = rows.row().strip()
+    rows.skip(rows.whole(1)[0])
+    rows.row()
+    reader = _read_anisotropic if head.startswith(ANISOTROPIC) else _read_spectral
+    return reader(rows, {"comment": comment} if comment else {})
 
 
 def _read_spectral(rows: Lines, header: dict[str, str]) -> Scatter:

@@ -25,7 +25,7 @@ ANGLE_ROUNDING = 1e-3
 def unit_questions(
     arrays: Mapping[str, Floats], picked: Mapping[str, Column]
 ) -> list[str]:
-    """Question on angles that may be in degrees or radians, if there are such.
+    """Questions on angles that may be in degrees or radians, if there are such.
 
     Parameters
     ----------
@@ -34,22 +34,18 @@ def unit_questions(
     picked : mapping of Column
         The columns that they were read from; those of a number for all rows have none.
     """
-    unclear = []
+    questions = []
     for kind, (roles, most) in MAX_RADIANS.items():
         bare = [role for role in roles if role in picked and not picked[role].unit]
         angles = np.abs(np.concatenate([[0.0], *(arrays[role] for role in bare)]))
         whole = (np.abs(angles - np.round(angles)) < ANGLE_ROUNDING).all()
         if not whole and angles.max() <= most:
-            unclear.append((kind, bare[0], angles.max()))
-    if not unclear:
-        return []
-    kind, role, _ = unclear[0]
-    kind = "angles" if len(unclear) > 1 else kind
-    largest = max(most for *_, most in unclear)
-    return [
-        f"{kind} up to {largest:.4g} may be degrees or radians: say --columns "
-        f"{role}='{picked[role].name.strip()}:rad' (or :deg), and so of each"
-    ]
+            questions.append(
+                f"{kind} up to {angles.max():.4g} may be degrees or radians: say "
+                f"--columns {bare[0]}='{picked[bare[0]].name.strip()}:rad' (or :deg), "
+                "and so of each"
+            )
+    return questions
 
 
 def in_degrees(

@@ -1,4 +1,4 @@
-"""Names of columns in measured tables: units, coverage factors, and a list of words.
+"""Names of columns in measured tables: a table of aliases, units, coverage factors.
 
 A name is known if all of its words are; any other column is asked for.
 """
@@ -7,26 +7,17 @@ import math
 import re
 from dataclasses import dataclass
 
-from scipy import special
-
 ANGLES = ("theta_i", "phi_i", "theta_o", "phi_o", "delta_phi")
 ROLES = (*ANGLES, "value", "sigma", "wavelength")
 
-# Units as they are written, in small letters without blanks, and as they are called.
-PERCENT = "% percent pct"
-PER_SR = "1/{0} {0}^-1 {0}-1 /{0} {0}^{{-1}} {0}⁻¹ {0}**-1 {0}−1 {0}^(-1)"
+# Units as they are written, in small letters without blanks, powers and brackets.
 UNITS = {
     "deg": "deg degree degrees ° º",
     "rad": "rad radian radians",
-    "1/sr": PER_SR.format("sr"),
-    "1/msr": PER_SR.format("msr"),
-    "%": PERCENT,
-    "%/sr": " ".join(
-        f"{part}{dot}{sr}"
-        for part in PERCENT.split()
-        for dot in ("", "·", "*")
-        for sr in PER_SR.format("sr").split()
-    ),
+    "1/sr": "1/sr sr-1 /sr",
+    "1/msr": "1/msr msr-1 /msr",
+    "%": "% percent pct",
+    "%/sr": "%/sr %sr-1 percent/sr percentsr-1 pct/sr pctsr-1",
     "1": "1 - none unitless",
     "nm": "nm nanometer nanometers nanometre nanometres",
     "um": "um µm μm micron microns",
@@ -35,66 +26,61 @@ UNITS = {
 UNIT_OF = {written: unit for unit, words in UNITS.items() for written in words.split()}
 VALUE_UNITS = ("", "1/sr", "1/msr", "%", "%/sr", "1")
 
-# A unit at the end of a name without brackets; 1 and m are none there.
-AT_END = re.compile(
-    r"^(.*?)(?:\s*/\s*\(?|[ _,]+(?:in )?)("
-    + "|".join(re.escape(one) for one in sorted(UNIT_OF, key=len)[::-1] if one[1:])
-    + r"|%|°)\)?\s*$",
-    re.IGNORECASE,
-)
-
-# Words of one meaning, and what is written for several words.
-WORDS = {
-    "theta": "polar zenith zen z",
-    "phi": "azimuth azimuths azimuthal azi az a",
+# Words by their meaning, of which there may be two.
+ALIASES = {
+    "theta": "polar zenith zen z θ ϑ",
+    "phi": "azimuth azimuths azimuthal azi az a φ ϕ",
     "i": "in inc incident incidence incoming illumination input illuminating source "
     "src sun solar light lighting",
     "o": "out r s v view viewing exit exitant outgoing measure measured measurement "
     "detector receiver scatter scattered scattering reflected observation observer "
     "sensor emergent output receive detection det t transmitted transmission",
-    "rel": "relative delta d difference diff fractional",
-    "lambda": "wavelength wavelengths wl wvl",
+    "theta i": "sza aoi",
+    "phi i": "saa",
+    "theta o": "vza",
+    "phi o": "vaa",
+    "rel": "relative delta d difference diff fractional δ",
+    "phi rel": "raa dphi",
+    "lambda": "wavelength wavelengths wl wvl λ",
     "value": "values bsdf",
+    "brf": "hcrf",
+    "brdf cos": "ccbrdf",
     "cos": "cosine",
     "u": "sigma uncertainty uncertainties uncert unc std stdev error err sd uc "
-    "expanded stddev deviation",
+    "expanded stddev deviation ± σ",
+    "u rel": "rsd",
     "abs": "absolute",
     "angle": "angles",
     "": "of the direction deg degrees",
     "beside": "standard combined total random dev type b statistical c k f percent pct "
     "reflectance factor radiance mean average averaged panel bidirectional",
 }
-MEANING = {word: one for one, words in WORDS.items() for word in words.split()}
-WRITTEN = {
-    "±": "u", "σ": "u", "θ": "theta", "ϑ": "theta", "φ": "phi", "ϕ": "phi",
-    "λ": "lambda", "Δ": "rel",
-}  # fmt: skip
-SHORT = {
-    "sza": "theta i", "aoi": "theta i", "saa": "phi i", "vza": "theta o",
-    "vaa": "phi o", "raa": "phi rel", "dphi": "phi rel", "rsd": "u rel",
-    "ccbrdf": "brdf cos", "hcrf": "brf",
-}  # fmt: skip
+MEANING = {word: one for one, words in ALIASES.items() for word in words.split()}
 PHRASES = (
-    # two words in one, plurals, numbers of samples
+    # words and letters in one
     (r"([a-z])([A-Z])", r"\1 \2"),
-    (r"(?i)\b(theta|phi)s(?=[ _]\w)", r"\1"),
     (r"(?i)(?<![a-z])(theta|phi)(?=[a-z])", r"\1 "),
-    (r"(?i)(?<![a-z])(?:sample|specimen)[ _#]*[0-9]*(?![a-z0-9])", " "),
+    (r"([θϑφϕλΔσ±])", r" \1 "),
     # uncertainties over values, factors, Nicodemus's symbols, hyphens
-    (r"(?i)/\s*(?=(?:b[rst]df|h?c?brf|hcrf|values?|f_?[rt])\b)", " rel "),
+    (r"(?i)/\s*(?=(?:b[rst]df|brf|hcrf|values?|f_?[rt])\b)", " rel "),
     (r"(?i)(?:reflectance|radiance)[ _]factors?", " brf "),
     (r"(?i)(?<![a-z])f[_ ]?r(?![a-z])", " brdf "),
     (r"(?i)(?<![a-z])f[_ ]?t(?![a-z])", " btdf "),
     (r"(?<=\w)\s*[-–]\s*(?=[A-Za-z])", " "),
 )
 ROLE_OF = {
-    "i theta": "theta_i", "i phi": "phi_i", "o theta": "theta_o", "o phi": "phi_o",
-    "phi rel": "delta_phi", "i o phi": "delta_phi", "lambda": "wavelength",
-}  # fmt: skip
+    frozenset(words.split()): role
+    for role, words in (
+        *(("theta_i", "i theta"), ("phi_i", "i phi")),
+        *(("theta_o", "o theta"), ("phi_o", "o phi")),
+        *(("delta_phi", "phi rel"), ("delta_phi", "i o phi")),
+        ("wavelength", "lambda"),
+    )
+}
 QUANTITY_OF = {"brdf": "brdf", "btdf": "btdf", "brf": "reflectance_factor"}
 IN_VALUES = {"value", "beside", *QUANTITY_OF}
-IN_COSINES = {"cos", "theta", "o", "*", "x", "·"}
-IN_SIGMAS = IN_VALUES | {"u", "rel", "abs", "cos", "o"}
+IN_COSINES = IN_VALUES | {"cos", "theta", "o", "*", "x", "·"}
+IN_SIGMAS = IN_VALUES | {"u", "rel", "abs", "cos", "o", "*", "x", "·", "×"}
 
 # Wavelengths in nm that a column may be named by.
 MIN_NM, MAX_NM = 150, 20_000
@@ -102,17 +88,18 @@ WAVELENGTH = re.compile(
     r"(?<![\w.])([0-9]+(?:\.[0-9]+)?)\s*(nm|um|µm|μm)?(?![\w.])", re.IGNORECASE
 )
 
-# Coverage of uncertainties: a level in per cent, also behind U; k or so many sigma.
-NUMBER = r"([0-9]+(?:[.,][0-9]+)?)(?![.,]?[0-9])"
-LEVELS = r"((?:68|95|99)(?:[.,][0-9]+)?)"
-FACTOR = re.compile(
-    rf"(?<![^\W_])k[\s_]*[=:]?[\s_]*{NUMBER}|[*x·×⋅]\s*{NUMBER}(?=\s*(?:[\[(]|$))"
-    rf"|(?<![\w.,]){NUMBER}[\s*x·×⋅-]*(?=(?:σ|sigma|std|stdev|stddev|sd|u)(?![^\W_]))",
+# Coverage of uncertainties: k = 2, 2 sigma, U95, 95 %. Other numbers are asked about.
+COVERAGE = re.compile(
+    r"(?<![^\W_])k[\s_]*[=:]?[\s_]*(?P<k>[0-9]+(?:[.,][0-9]+)?)(?![.,]?[0-9])"
+    r"|(?<![\w.,])(?P<n>[0-9]+(?:[.,][0-9]+)?)[\s*-]*"
+    r"(?=(?:σ|sigma|std|stdev|stddev|sd|u)(?![^\W_]))"
+    r"|(?<![^\W_])U[\s_]?(?P<U>[0-9.,]+)(?P<U_percent>\s*%)?(?![\w.])"
+    r"|(?<![\w.,])(?P<level>[0-9.,]+)(?P<percent>\s*%)",
     re.IGNORECASE,
 )
-EXPANDED = re.compile(rf"(?<![^\W_])[Uu][\s_]?{LEVELS}\s*(%?)(?![\w.])")
-LEVEL = re.compile(rf"(?<![\w.,]){LEVELS}\s*(%)")
-SIGMAS_OF_LEVEL = {68.0: 1.0, 99.7: 3.0}
+SIGMAS_OF_LEVEL = {
+    "68": 1.0, "95": 1.96, "95.45": 2.0, "99": 2.576, "99.7": 3.0, "99.73": 3.0,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -155,8 +142,7 @@ def recognised(name: str) -> Column | None:
     text, channel = _without_wavelength(text)
     text, unit = _without_unit(text)
     words = _words(text)
-    role = ROLE_OF.get(" ".join(sorted(words)))
-    if role:
+    if role := ROLE_OF.get(words):
         return None if channel or coverage else Column(name, role, unit)
     unit = unit or ("%" if re.search(r"(?i)percent|pct", text) else "")
     numbers = {word for word in words if word[0].isdigit()}
@@ -166,14 +152,14 @@ def recognised(name: str) -> Column | None:
         kind = "abs" if "abs" in words or unit in ("1/sr", "1/msr", "%/sr") else level
         kind = "rel" if "rel" in words else kind
         return Column(name, "sigma", unit, "", channel, coverage, kind)
-    quantities = words & {*QUANTITY_OF}
-    cosine = "cos" in words and "brdf" in words
-    known = words <= IN_VALUES | (IN_COSINES if cosine else set())
+    quantities = [QUANTITY_OF[word] for word in words & {*QUANTITY_OF}]
+    cosine = {"cos", "brdf"} <= words
+    known = words <= (IN_COSINES if cosine else IN_VALUES)
     if coverage or not known or len(quantities) > 1 or unit not in VALUE_UNITS:
         return None
     if quantities or "value" in words or (channel and not words):
-        quantity = QUANTITY_OF[min(quantities)] if quantities else ""
-        return Column(name, "value", unit, f"{quantity}{'_cos' * cosine}", channel)
+        quantity = "brdf_cos" if cosine else "".join(quantities)
+        return Column(name, "value", unit, quantity, channel)
     return None
 
 
@@ -182,12 +168,13 @@ def coverage_of(name: str) -> float:
     return _without_coverage(name)[1]
 
 
-def is_unit(text: str) -> bool:
-    """Whether a text is a unit, in brackets or not."""
-    return text.strip().strip("[]()").strip().lower() in UNIT_OF
+def unit_of(text: str) -> str:
+    """Unit that a text is, as a key of :data:`UNITS`; empty if it is none."""
+    bare = re.sub(r"[\s^*·(){}\[\]]", "", text.lower())
+    return UNIT_OF.get(bare.replace("⁻¹", "-1").replace("\N{MINUS SIGN}", "-"), "")
 
 
-def unit_of(name: str) -> str:
+def unit_in(name: str) -> str:
     """Unit in a name, as a key of :data:`UNITS`; empty if there is none."""
     return _without_unit(_without_coverage(name)[0])[1]
 
@@ -199,19 +186,21 @@ def _without_coverage(name: str) -> tuple[str, float, str]:
     """
     text = " ".join(name.replace("\ufeff", "").split())
     coverage, unclear = 0.0, ""
-    for pattern, rest in ((FACTOR, " "), (EXPANDED, " U "), (LEVEL, " ")):
-        match = pattern.search(text)
-        if match:
-            before, after = text[: match.start()], text[match.end() :]
-            number = float(next(filter(None, match.groups())).replace(",", "."))
-            if pattern is not FACTOR:
-                sigmas = round(float(special.ndtri((1 + number / 100) / 2)), 3)
-                number = SIGMAS_OF_LEVEL.get(number, sigmas)
-                if match[2] and not re.search(r"[\[(]", before):
-                    rest, unclear = f"{rest}%", "?"
-            text, coverage = f"{before}{rest}{after}", coverage or number or 1.0
-            if unclear:
-                break
+    for match in [*COVERAGE.finditer(text)][::-1]:
+        level = match["U"] or match["level"]
+        number = (level or match["k"] or match["n"]).replace(",", ".")
+        if level and number not in SIGMAS_OF_LEVEL:
+            continue
+        before, after = text[: match.start()], text[match.end() :]
+        rest = " U " if match["U"] else " "
+        percent = match["U_percent"] or match["percent"]
+        if percent and not re.search(r"[\[(]", before):
+            rest, unclear = f"{rest}% ", "?"
+        factor = SIGMAS_OF_LEVEL[number] if level else float(number)
+        text, coverage = (
+            f"{before}{rest}{after}",
+            coverage if level and coverage else factor,
+        )
     return text, coverage, unclear
 
 
@@ -219,32 +208,28 @@ def _without_unit(text: str) -> tuple[str, str]:
     """Name without its unit: in brackets, after a slash, a comma or at the end."""
     found = ""
     for group in re.findall(r"[\[(][^\[\]()]*(?:\([^()]*\)[^\[\]()]*)?[\])]", text):
-        parts = [_unit(part) for part in re.split("[,;]", group[1:-1]) if part.strip()]
+        parts = [
+            unit_of(part) for part in re.split("[,;]", group) if part.strip("[()] ")
+        ]
         if all(parts):
             text = text.replace(group, " ", 1).rstrip()
             found = found or "".join(parts[:1])
-    match = None if found else AT_END.match(text)
-    if match:
-        return match[1], _unit(match[2])
+    for match in re.finditer(r"\s*/\s*|[ _,]+(?:in )?", text) if not found else ():
+        end = text[match.end() :]
+        if unit_of(end) and (len(end) > 1 or end in "%°"):
+            return text[: match.start()], unit_of(end)
     if not found and "%" in text:
         return text.replace("%", " "), "%"
     return text, found
 
 
-def _unit(text: str) -> str:
-    """Unit as it is called; empty if it is none."""
-    return UNIT_OF.get(text.replace(" ", "").lower(), "")
-
-
 def _words(text: str) -> frozenset[str]:
     """Meanings of the words of a name, and its signs and unknown words as they are."""
-    for letter, name in WRITTEN.items():
-        text = text.replace(letter, f" {name} ")
     for pattern, phrase in PHRASES:
         text = re.sub(pattern, phrase, text)
     found = re.findall(r"[^\W\d_]+|[0-9][0-9.]*|[^\w\s.,;:=@()\[\]{}]", text.lower())
-    found = " ".join(SHORT.get(word, word) for word in found).split()
-    words = {MEANING.get(word, word) for word in found} - {""}
+    meanings = " ".join(MEANING.get(word, word) for word in found)
+    words = {*meanings.split()}
     if "angle" in words:  # "incident angle" is a polar angle
         words = words - {"angle"} | (set() if words & {"theta", "phi"} else {"theta"})
     return frozenset(words)

@@ -1,7 +1,7 @@
 """Plain tables: which column is what, and one question on all that is open."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from typing import Any
@@ -36,7 +36,7 @@ from .angles import (
     in_degrees,
     unit_questions,
 )
-from .names import ANGLES, ROLES, Column, coverage_of, recognised, unit_of
+from .names import ANGLES, ROLES, Column, coverage_of, recognised, unit_in
 from .text import TextTable, split_text
 
 NM = {"": 1.0, "nm": 1.0, "um": 1e3, "m": 1e9}
@@ -70,12 +70,12 @@ QUANTITY_PATTERNS = (
     (r"\bBRDF\b", "brdf"),
 )
 
-# A line on the reflectance of the reference panel: a fraction, or per cent.
+# Least reflectance of a reference panel.
+LEAST = 1e-9
+
+# A line on the reflectance of the reference panel, with a number.
 PANEL = re.compile(
-    r"(?:\b(?:panel|reference|tile|plaque)\b.*\breflectance"
-    r"|\breflectance\b.*\b(?:panel|reference|tile|plaque))\b.*?"
-    r"(?<![\w.,])(0?[.,][0-9]+|1(?:[.,][0-9]+)?|[0-9]{1,2}(?:[.,][0-9]+)?(?=\s*%))"
-    r"(?![\w.,]*[0-9])\s*(%?)",
+    r"(?=.*\breflectance\b(?! factor))(?=.*\b(panel|reference|tile|plaque)\b).*[0-9]",
     re.IGNORECASE,
 )
 
@@ -103,11 +103,9 @@ class Specified:
         for name, choices in (("quantity", QUANTITIES), ("azimuth", AZIMUTHS)):
             if getattr(self, name) is not None:
                 checked_choice(name, getattr(self, name), choices)
-        panel, condition = self.panel_reflectance, "a number above 0, at most 2"
-        if panel is not None and not checked_number(
-            "panel_reflectance", panel, 0, 2, condition
-        ):
-            raise SettingError(f"panel_reflectance must be {condition}, got {panel}")
+        if self.panel_reflectance is not None:
+            name, condition = "panel_reflectance", "a number above 0, below 2"
+            checked_number(name, self.panel_reflectance, LEAST, 2, condition)
 
 
 def read_text(path: str | PathLike[str], specified: Specified) -> MeasuredTable:
@@ -138,12 +136,14 @@ class _Reading:
         self.titles = [line.replace("_", " ") for _, line in lines]
         # our own names: without a quantity it is the BRDF
         self.own = set(text.names) >= set(COLUMNS) and not specified.columns
-        self.known = [recognised(name) for name in text.names]
         bare = [name.partition(" [")[0] for name in text.names]
-        for colour in COLOURS if set(bare) >= set(COLOURS) else ():
-            name = text.names[bare.index(colour)]
-            column = Column(name, "value", unit_of(name), channel=colour)
-            self.known[bare.index(colour)] = column
+        colours = COLOURS if {*COLOURS} <= {*bare} else ()
+        self.known = [
+            Column(name, "value", unit_in(name), channel=one)
+            if one in colours
+            else recognised(name)
+            for name, one in zip(text.names, bare)
+        ]
         for role, word in specified.columns.items():
             self._assign(role, str(word))
 
@@ -153,11 +153,12 @@ class _Reading:
         self._read_numbers()
         if not (self.own and self.settings):  # below our own header they are in degrees
             self.questions += unit_questions(self.arrays, self.picked)
+        self.arrays |= in_degrees(self.arrays, self.picked)
+        polar = np.abs([self.arrays["theta_i"], self.arrays["theta_o"]])
+        self._leave_out((np.abs(polar - 90) <= HORIZON).any(axis=0), "at 90 degrees")
         quantity = self.settings["quantity"] = self._quantity()
         columns = self._values(quantity)
-        angles, notes, questions = directions(
-            self.arrays | in_degrees(self.arrays, self.picked), self.specified.azimuth
-        )
+        angles, notes, questions = directions(self.arrays, self.specified.azimuth)
         check_nothing_open(self.place, self.questions + questions)
         self.notes += notes
         if not self.own and quantity == "btdf" and (angles["theta_o"] <= 90).all():
@@ -165,13 +166,14 @@ class _Reading:
             self.notes.append(
                 "theta_o of transmission counts from the normal of the other face"
             )
-        columns = self._above_the_horizon(columns | angles)
-        self._check_ranges(columns, quantity)
+        self._check_ranges(columns | angles, quantity)
         if self.channel is not None:
             self.settings.setdefault("channel", self.channel)
         told: dict[str, Any] = {"header": self.header, "notes": tuple(self.notes)}
         try:
-            return MeasuredTable(**columns, **self.settings, **told, name=self.place)
+            return MeasuredTable(
+                **columns, **angles, **self.settings, **told, name=self.place
+            )
         except ValueError as error:
             raise FileFormatError(f"{self.place}: {error}") from None
 
@@ -195,7 +197,7 @@ class _Reading:
         if name.strip().lower() in names:
             index = names.index(name.strip().lower())
             own = self.text.names[index]
-            column = recognised(own) or Column(own, role, unit_of(own))
+            column = recognised(own) or Column(own, role, unit_in(own))
             if column.kind == "?" and suffix == "abs":  # its % is that of a level
                 column = replace(column, unit="")
             self.known[index] = replace(
@@ -271,7 +273,7 @@ class _Reading:
         roles = ", one ".join(unclear)
         say = f"say --columns {options}{number}"
         questions = [f"one column must be {roles}{seen}: {say}"]
-        if not self.own and not self._stated_quantity():
+        if not self.own and not self._stated_quantity()[0]:
             questions.append(_quantity_question())
         # azimuths of exit without those of incidence
         relative = "delta_phi" in there or there & {"phi_i", "phi_o"} == {"phi_o"}
@@ -284,32 +286,29 @@ class _Reading:
 
     def _read_numbers(self) -> None:
         """Read the picked columns into `arrays`, and rows' numbers into `lines`."""
-        places = [self.text.names.index(c.name) for c in self.picked.values()]
-        value = self.text.names.index(self.picked["value"].name)
-        cells = [(n, row, row[value].strip()) for n, row in self.text.cells()]
-        missing = [cell for *_, cell in cells if MISSING.fullmatch(cell)]
-        kept = [(n, row) for n, row, cell in cells if not MISSING.fullmatch(cell)]
-        if not kept:
-            raise FileFormatError(f"{self.place} has no row with a value")
-        self.lines = np.array([n for n, _ in kept])
-        rows = [[row[place] for place in places] for _, row in kept]
-        numbers: Any = decimals([cell for row in rows for cell in row])
-        if numbers is None or not np.all(np.isfinite(numbers)):
-            numbers = [
-                self._number(line, column, cell)
-                for line, row in zip(self.lines, rows)
-                for column, cell in zip(self.picked.values(), row)
-            ]
-        self._note_left_out(len(missing), "a value", set(missing))
-        table = np.reshape(numbers, (-1, len(places))).T.copy()
-        self.arrays = dict(zip(self.picked, table))
-        self.arrays |= {r: np.full(len(rows), x) for r, x in self.constants.items()}
+        table = list(self.text.cells())
+        self.lines = np.array([number for number, _ in table])
+        self.arrays: dict[str, Any] = {}
+        for role, column in self.picked.items():
+            place = self.text.names.index(column.name)
+            self.arrays[role] = np.array([row[place] for _, row in table], dtype=object)
+        missing = [MISSING.fullmatch(cell.strip()) for cell in self.arrays["value"]]
+        codes = {match[0] for match in missing if match}
+        self._leave_out(np.array(missing, dtype=bool), "without a value", codes)
+        for role, column in self.picked.items():
+            numbers = decimals(self.arrays[role])
+            if numbers is None or not np.isfinite(numbers).all():
+                cells = zip(self.lines, self.arrays[role])
+                numbers = np.array([self._number(column, *cell) for cell in cells])
+            self.arrays[role] = numbers
+        n = len(self.lines)
+        self.arrays |= {role: np.full(n, x) for role, x in self.constants.items()}
         self._leave_out_missing()
         if "wavelength" in self.arrays:
             self._pick_wavelength()
         self._note_columns()
 
-    def _number(self, line: int, column: Column, cell: str) -> float:
+    def _number(self, column: Column, line: int, cell: str) -> float:
         """Number in a cell, or FileFormatError if it is none or not finite."""
         in_degrees = column.role in ANGLES and column.unit != "rad"
         text = without_degrees(cell) if in_degrees else cell
@@ -323,35 +322,32 @@ class _Reading:
         )
 
     def _leave_out_missing(self) -> None:
-        """Leave out rows with a code for no number, except azimuths at the normal."""
-        arrays = self.arrays
-        normal = {side: arrays[f"theta_{side}"] % 180 == 0 for side in "io"}
-        normal["d"] = normal["i"] | normal["o"]
+        """Leave out rows with a code for no number beside the value."""
         gone, found = np.zeros(len(self.lines), dtype=bool), set()
-        for role in set(arrays) - {"value"} - set(self.constants):
-            column = arrays[role]
+        for role in self.picked.keys() - {"value"}:
+            column = self.arrays[role]
             none = np.isin(column, MISSING_CODES)
             if role in ANGLES and (column[~none] < 0).any():
                 none &= column < -180  # beside other negative angles, -99 is one
-            if "phi" in role:
-                side = "d" if role == "delta_phi" else role[-1]
-                arrays[role] = np.where(none & normal[side], 0.0, column)
-                none &= ~normal[side]
+            if role in ("phi_i", "phi_o"):  # at the normal there is none
+                normal = none & (self.arrays[role.replace("phi", "theta")] == 0)
+                self.arrays[role] = np.where(normal, 0.0, column)
+                none &= ~normal
             found |= {f"{code:g}" for code in column[none]}
             gone |= none
-        if gone.all():
-            raise FileFormatError(f"{self.place} has no row without a missing number")
-        n_gone = int(np.count_nonzero(gone))
-        self._note_left_out(n_gone, "another number than the value", found)
-        self._keep(~gone)
+        self._leave_out(gone, "without another number than the value", found)
 
-    def _note_left_out(self, n_rows: int, lacking: str, codes: set[str]) -> None:
-        """Note how many rows are left out, and which codes stand for no number."""
-        listed = ", ".join(sorted(one for one in codes if one.startswith("-9")))
-        why = f": {listed} stands for none" if listed else ""
-        if n_rows:
-            rows = number_of(n_rows, "row")
-            self.notes.append(f"{rows} without {lacking} left out{why}")
+    def _leave_out(self, gone: Flags, which: str, codes: Iterable[str] = ()) -> None:
+        """Keep the other rows, with a note, and which codes stand for no number."""
+        n_gone = int(np.count_nonzero(gone))
+        if n_gone == len(gone):
+            raise FileFormatError(f"{self.place} has no row but those {which}")
+        if n_gone:
+            listed = ", ".join(sorted(one for one in codes if one.startswith("-9")))
+            why = f": {listed} stands for none" if listed else ""
+            rows = number_of(n_gone, "row")
+            self.notes.append(f"{rows} {which} left out{why}")
+        self._keep(~gone)
 
     def _keep(self, rows: Flags) -> None:
         """Keep some rows."""
@@ -388,66 +384,55 @@ class _Reading:
         if self.text.decimal_comma:
             self.notes.append("numbers have decimal commas")
 
-    def _above_the_horizon(self, columns: dict[str, Any]) -> dict[str, Any]:
-        """Columns without the rows at 90 degrees, where nothing is defined."""
-        polar = np.stack([columns["theta_i"], columns["theta_o"]])
-        at_90 = (np.abs(polar - 90) <= HORIZON).any(axis=0)
-        n_left = np.count_nonzero(at_90)
-        if n_left == len(at_90):
-            raise FileFormatError(f"{self.place} has no row below 90 degrees")
-        if n_left:
-            rows = number_of(len(at_90), "row")
-            self.notes.append(f"{n_left} of {rows}, at 90 degrees, left out")
-        self.lines = self.lines[~at_90]
-        return {n: one[~at_90] for n, one in columns.items() if one is not None}
-
     # -------------------------------------------------------------------------- values
 
-    def _stated_quantity(self) -> str:
-        """Quantity as specified, as names have it, or the one that titles name."""
-        said = self.settings.get("quantity")
-        values = [column for column in self.known if column and column.role == "value"]
-        named = [column.quantity for column in values if column.quantity]
+    def _stated_quantity(self) -> tuple[str, str]:
+        """Quantity, and where it is from: as specified, of names, or of the title."""
+        if "quantity" in self.settings:
+            return self.settings["quantity"], "specified"
+        for column in self.known:
+            if column and column.quantity:
+                return column.quantity, "their name says"
         title = "\n".join(self.titles)
         found = {q for p, q in QUANTITY_PATTERNS if re.search(p, title, re.IGNORECASE)}
-        titled = found.pop() if len(found) == 1 else ""
-        return str(said or next(iter(named), titled))
+        return (found.pop(), "the title says") if len(found) == 1 else ("", "")
 
     def _quantity(self) -> str:
         """Quantity with a note on where it is from, or a question."""
-        column, found = self.picked["value"], self._stated_quantity()
+        column, (found, source) = self.picked["value"], self._stated_quantity()
         name = column.name.strip()
-        if "quantity" in self.settings:
-            if column.quantity not in ("", found):
-                but = f"although their name {name!r} says {column.quantity}"
-                self.notes.append(f"the values are {found}, as specified, {but}")
-        elif found and not (self.own and found == "brdf"):
-            source = "their name" if column.quantity else "the title"
-            self.notes.append(f"the values are {found}, as {source} says")
-        elif self.own and not found:
-            found, taken = "brdf", "taken as brdf in 1/sr, without cosine"
+        if source == "specified":
+            if column.quantity in ("", found):
+                return found
+            source += f", although their name {name!r} says {column.quantity}"
+        if not found and self.own:
+            found = "brdf"
             self.notes.append(
-                f"no quantity is stated: {taken}; --quantity sets another"
+                "no quantity is stated: taken as brdf in 1/sr, without cosine; "
+                "--quantity sets another"
             )
         elif not found:
             self.questions.append(_quantity_question(name))
+        elif not (self.own and found == "brdf"):
+            self.notes.append(f"the values are {found}, as {source}")
         return found
 
     def _panel(self, quantity: str) -> float:
         """Reflectance of a reference panel that values are multiplied with, or 1."""
-        panel, why = self.specified.panel_reflectance, ""
-        titled = next(filter(None, map(PANEL.search, self.titles)), None)
-        if titled and quantity == "reflectance_factor":
-            for key, text in list(self.header.items()):  # a saved table holds it
-                if PANEL.search(f"{key.replace('_', ' ')}: {text}"):
-                    del self.header[key]
-            if panel is None:
-                panel = float(titled[1].replace(",", ".")) * (0.01 if titled[2] else 1)
-                why = ", as the title says: --panel-reflectance 1 if they hold it"
-        if panel is None:
-            return 1.0
-        self.notes.append(f"values times {panel:g}, that of the reference panel{why}")
-        return panel
+        panel = self.specified.panel_reflectance
+        if panel is not None:
+            self.notes.append(f"values times {panel:g}, that of the reference panel")
+            self.header = {  # a saved table holds it
+                key: text
+                for key, text in self.header.items()
+                if not PANEL.match(f"{key.replace('_', ' ')}: {text}")
+            }
+        elif quantity == "reflectance_factor" and any(map(PANEL.match, self.titles)):
+            self.questions.append(
+                "its title states the reflectance of a reference panel: say "
+                "--panel-reflectance, or 1 if the values hold it"
+            )
+        return panel or 1.0
 
     def _values(self, quantity: str) -> dict[str, Any]:
         """Values and their absolute standard uncertainties."""
@@ -459,7 +444,7 @@ class _Reading:
         values = self.arrays["value"] * part * panel
         column, sigma = self.picked.get("sigma"), self.arrays.get("sigma")
         if sigma is None or column is None:
-            return {"value": values, "sigma": sigma}
+            return {"value": values} | ({} if sigma is None else {"sigma": sigma})
         coverage = self._coverage(column)
         name, sigma = column.name.strip(), sigma / coverage
         its = f"the uncertainty {name!r:.40}"

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from ...errors import FileFormatError, shown
 from ...files.numbers import decimal, is_decimal, without_degrees
-from .names import ANGLES, is_unit, recognised
+from .names import ANGLES, recognised, unit_of
 
 # Characters of a line; no table has more, and an image in text has.
 MAX_LINE = 10_000
@@ -134,7 +134,7 @@ def split_text(
         raise FileFormatError(f"{path} has no values: nothing follows line {number}")
     names = [cell.strip() for cell in cut(text, delimiter)]
     units = [cell.strip().strip("[]()") for cell in cut(rows[0][1], delimiter)]
-    has_units = len(units) == len(names) and all(map(is_unit, units))
+    has_units = len(units) == len(names) and all(map(unit_of, units))
     # units that are all 1 look like a row of values
     if len(rows) > 1 and has_units and not is_row(rows[0][1]):
         names = [f"{name} [{unit}]" for name, unit in zip(names, units)]

@@ -55,7 +55,7 @@ cos * BRDF               | value      | -
 BRDF_1/sr                | value      | 1/sr
 BRDF 1000 nm             | value      | -
 BRDF [1/sr] 1000 nm      | value      | 1/sr
-BRDF sample 2            | value      | -
+BRDF sample 2            | -          | -
 log10 BRDF               | -          | -
 ln(BRDF)                 | -          | -
 BRDF (dB)                | -          | -
@@ -282,51 +282,6 @@ def test_units_below_the_names_colours_and_gaps(tmp_path):
         gonio.read_measured(path, quantity="btdf")
     with pytest.raises(ValueError, match=r"one of R, G, B for .*, got 'K'"):
         gonio.read_measured(path, "K", quantity="btdf")
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("theta_i,theta_r,phi_i,phi_r,550nm\n45,30,0,180,1\n", "say --quantity brdf,"),
-        (
-            "theta_i,theta_r,brf,brdf\n45,0,1,1\n",
-            "one column must be value .* say --columns value=NAME",
-        ),
-        ("theta_i,theta_r,brdf\n0.5,0,1\n", "say --columns theta_i='theta_i:rad'"),
-        ("theta_i,phi_i,brdf\n45,0,1\n", "say --columns theta_o=NAME"),
-        ("a,b,c\n45,0,1\n", "say each: --columns theta_i=NAME theta_o=NAME value"),
-        # all at once, as far as it can be told
-        (
-            "theta_i,phi_i,delta_phi,b,c\n45,0,0,0,1\n",
-            "open: .1. one column must be theta_o, one value .* say --columns "
-            "theta_o=NAME value=NAME; .2. .* say --quantity brdf,",
-        ),
-        (
-            "theta_r,phi_r,brdf\n30,0,1\n",
-            "must be theta_i:.* such as theta_i=30; .2. its azimuths .* say "
-            "--azimuth source or mirror, .* or --columns phi_i=0",
-        ),
-        (
-            "theta_i,b,450nm,550nm\n45,0,1,2\n",
-            "channel must be one of 450nm, 550nm: .*must be theta_o .*--quantity",
-        ),
-        (
-            "theta_i,theta_r,raa,550nm\n0.5,0.4,0,1\n",
-            "be degrees or radians: .* --quantity b.* --azimuth source",
-        ),
-        ("Theta measure end :\t30\nTheta Lighting\t0\n-30\t0\t0\n", "of a REFLET"),
-        ("theta_i;theta_r;brdf\n45;0;x\n", "line 2, column brdf: must be a number"),
-        ("theta_i;theta_r;brdf\n45;0\n", "must have 3 values separated by semicolons"),
-        (
-            "theta_i;theta_r;brdf;raa;phi_i\n95;0;1;0;0\n",
-            "line 2, column theta_i: must be an angle in degrees",
-        ),
-    ],
-)
-def test_what_is_ambiguous_is_asked_for(tmp_path, text, message):
-    with pytest.raises(ValueError, match=message) as caught:
-        gonio.read_measured(written(tmp_path, text))
-    assert "table.txt" in str(caught.value)
 
 
 @pytest.mark.usefixtures("mono")
