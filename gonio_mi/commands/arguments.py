@@ -322,7 +322,7 @@ def add_table_options(group: Group) -> None:
     text += "(the side of the mirror direction)."
     add_text(group, "--azimuth", "FROM", text)
     text = "Reflectance of the reference panel that values are relative to. "
-    text += "Default: that of the title, or 1."
+    text += "Default: 1, or asked for where the title states it."
     add_number(group, "--panel-reflectance", "X", text)
 
 

@@ -41,6 +41,7 @@ from ...errors import SettingError
 from ...files import check_output
 from ...instrument.loading import load_specimen
 from ...instrument.specimen_text import SpecimenLike, parse_specimen
+from ...results.summary_text import aligned
 from ...surfaces.height_maps import is_height_map
 from ...surfaces.meshes import is_mesh
 from ...surfaces.topography import metres
@@ -191,10 +192,9 @@ def _table(found: Mapping[str, Mapping[str, Mapping[str, float]]]) -> str:
     sides = [(side, *one) for side, lights in found.items() for one in lights.items()]
     keys = dict.fromkeys(key for *_, row in sides for key in row)
     names = [key for key in keys if not key.endswith("_std_err")]
-    lines = [["", *names]]
+    lines = []
     for side, light, row in sides:
         errors = {key: row.get(f"{key}_std_err", 0.0) for key in names}
         cells = (f"{row[n]:.4f} +- {errors[n]:.1g}" if n in row else "" for n in names)
         lines.append([f"{side}, {light}", *cells])
-    widths = [max(map(len, column)) for column in zip(*lines)]
-    return "\n".join("  ".join(map(str.ljust, line, widths)).rstrip() for line in lines)
+    return aligned(["", *names], lines)

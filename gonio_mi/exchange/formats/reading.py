@@ -207,8 +207,7 @@ def read_measured(
         direction, where signed polar angles are positive too.
     panel_reflectance : float, optional
         Of the reference panel that the values are relative to: they are multiplied with
-        it. Default: of reflectance factors that of a title such as "reference panel:
-        reflectance 0.98"; otherwise 1.
+        it. Default: 1, and asked for where the title of reflectance factors states it.
 
     Returns
     -------

@@ -286,7 +286,7 @@ class _Reading:
 
     def _read_numbers(self) -> None:
         """Read the picked columns into `arrays`, and rows' numbers into `lines`."""
-        table = list(self.text.cells())
+        table = self.text.rows
         self.lines = np.array([number for number, _ in table])
         self.arrays: dict[str, Any] = {}
         for role, column in self.picked.items():

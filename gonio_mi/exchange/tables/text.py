@@ -8,7 +8,7 @@ import contextlib
 import csv
 import io
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
@@ -30,8 +30,9 @@ REFLET_HEAD = "Theta Lighting"
 DELIMITERS = {"\t": "tabs", ";": "semicolons", ",": "commas", " ": "blanks"}
 COMMENTS = ("#", "%", "!", "//")
 
-# A line number and its text.
+# A line number and its text, or its cells.
 Line = tuple[int, str]
+Row = tuple[int, list[str]]
 
 
 @dataclass
@@ -42,45 +43,25 @@ class TextTable:
     ----------
     place : str
         The file, for messages.
-    comments, titles : list of (int, str)
-        Lines of comments without their marks, and lines above the names of columns.
-    names : list of str
-        Of the columns.
     number : int
         Line of the names.
-    rows : list of (int, str)
-        Lines of values.
-    delimiter : str
+    names : list of str
+        Of the columns.
+    rows : list of (int, list of str)
+        Lines of values, one for each name, numbers with a decimal point.
     decimal_comma : bool
+        Whether the text has commas instead.
+    comments, titles : list of (int, str)
+        Lines of comments without their marks, and lines above the names of columns.
     """
 
     place: str
-    delimiter: str
     number: int
     names: list[str]
-    rows: list[Line]
+    rows: list[Row]
+    decimal_comma: bool
     comments: list[Line] = field(default_factory=list)
     titles: list[Line] = field(default_factory=list)
-    decimal_comma: bool = False
-
-    def cells(self) -> Iterator[tuple[int, list[str]]]:
-        """Line number and cells of each row, numbers with a decimal point.
-
-        Raises
-        ------
-        FileFormatError
-            For a row with more or fewer cells than there are names.
-        """
-        for number, line in self.rows:
-            cells = cut(line, self.delimiter)
-            if len(cells) != len(self.names):
-                raise FileFormatError(
-                    f"{self.place}, line {number}: must have {len(self.names)} values "
-                    f"separated by {DELIMITERS[self.delimiter]}, got {len(cells)}"
-                )
-            if self.decimal_comma:
-                cells = [cell.replace(",", ".", 1) for cell in cells]
-            yield number, cells
 
 
 def split_text(
@@ -141,8 +122,8 @@ def split_text(
         rows = rows[1:]
     comments = [line for line in comments if line[0] != number]
     titles = [line for line in lines if line[0] < number]
-    commas = has_decimal_commas(rows, delimiter)
-    return TextTable(place, delimiter, number, names, rows, comments, titles, commas)
+    whole = _rows(place, rows, delimiter, len(names))
+    return TextTable(place, number, names, *whole, comments, titles)
 
 
 def _matrix(place: str, lines: Sequence[Line]) -> TextTable | None:
@@ -172,16 +153,37 @@ def _matrix(place: str, lines: Sequence[Line]) -> TextTable | None:
                 f"angles of its rows and columns, as theta_o/theta_i, got {corner!r}"
             )
         unit = next((f" [{one.unit}]" for one in found if one.unit), "")
-        matrix = TextTable(place, delimiter, number, [corner, *across], [*lines[1:]])
-        matrix.decimal_comma = commas = has_decimal_commas(matrix.rows, delimiter)
+        cells, commas = _rows(place, lines[1:], delimiter, 1 + len(across))
         rows = [
-            (n, f"{row[0]};{angle};{value}")
-            for n, row in matrix.cells()
+            (n, [row[0], str(angle), value])
+            for n, row in cells
             for angle, value in zip(angles[2:], row[1:])
         ]
         names = [*(role + unit for role in roles), "value"]
-        return TextTable(place, ";", number, names, rows, decimal_comma=commas)
+        return TextTable(place, number, names, rows, commas)
     return None
+
+
+def _rows(
+    place: str, lines: Sequence[Line], delimiter: str, n: int
+) -> tuple[list[Row], bool]:
+    """Rows of `n` cells, numbers with a decimal point; whether the text has commas.
+
+    That is where numbers are written with commas, and none with a point.
+    """
+    rows = [(number, cut(line, delimiter)) for number, line in lines]
+    for number, cells in rows:
+        if len(cells) != n:
+            raise FileFormatError(
+                f"{place}, line {number}: must have {n} values separated by "
+                f"{DELIMITERS[delimiter]}, got {len(cells)}"
+            )
+    numbers = [without_degrees(cell) for _, cells in rows for cell in cells]
+    commas = any("," in one and _number(one) is not None for one in numbers)
+    commas = commas and not any("." in one for one in numbers if is_decimal(one))
+    if commas:
+        rows = [(n, [cell.replace(",", ".", 1) for cell in row]) for n, row in rows]
+    return rows, commas
 
 
 def _number(cell: str) -> float | None:
@@ -256,12 +258,3 @@ def is_row(line: str) -> bool:
         if len(cells) > 1 and None not in map(_number, cells):
             return True
     return False
-
-
-def has_decimal_commas(rows: Sequence[Line], delimiter: str) -> bool:
-    """Whether numbers are written with commas, and none with a point."""
-    if delimiter == "," or not any("," in line for _, line in rows):
-        return False
-    cells = [without_degrees(c) for _, line in rows for c in cut(line, delimiter)]
-    written = [c for c in cells if "," in c and is_decimal(c.replace(",", ".", 1))]
-    return bool(written) and not any("." in c for c in cells if is_decimal(c))

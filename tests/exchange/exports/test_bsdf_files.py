@@ -58,25 +58,11 @@ def columns(path):
 def narrow(share, theta_i=(0, 20, 40, 60, 80), collector="projected:30x30"):
     """Record of a pane: `share` of the light goes on in the patch straight on."""
     patches = gonio.subdivision(collector)
-    base = synthetic.record(collector, theta_i, (0,) * len(theta_i), both=True, rays=2)
-    tallies = [synthetic.writeable(tally) for tally in base.tallies]
-    for tally, theta in zip(tallies, theta_i):
+    weights = np.zeros((len(theta_i), 2, *patches.shape))
+    for (_, through), theta in zip(weights, theta_i):
         x, z = np.sin(np.radians(theta)), np.cos(np.radians(theta))
-        number = int(patches.patch([-x, 0, z]))
-        tally.sums[:] = 0
-        there = np.unravel_index(number, patches.shape)
-        light = np.round(share(theta) * tally.incident).astype(np.uint64)
-        tally.sums[(slice(None), 1, *there)] = light
-    return gonio.Record(
-        base.subdivision,
-        base.theta_i,
-        base.phi_i,
-        base.channels,
-        tuple(tallies),
-        base.asked,
-        base.provenance,
-        stacked=True,
-    )
+        through.flat[int(patches.patch([-x, 0, z]))] = share(theta)
+    return synthetic.exact(weights, theta_i, collector)
 
 
 def linear(theta, theta_i, values):
