@@ -57,8 +57,9 @@ ALIASES = {
 }
 MEANING = {word: one for one, words in ALIASES.items() for word in words.split()}
 PHRASES = (
-    # words and letters in one
+    # words and letters in one, plurals
     (r"([a-z])([A-Z])", r"\1 \2"),
+    (r"(?i)\b(theta|phi)s(?=[ _]\w)", r"\1"),
     (r"(?i)(?<![a-z])(theta|phi)(?=[a-z])", r"\1 "),
     (r"([θϑφϕλΔσ±])", r" \1 "),
     # uncertainties over values, factors, Nicodemus's symbols, hyphens
@@ -91,7 +92,7 @@ WAVELENGTH = re.compile(
 # Coverage of uncertainties: k = 2, 2 sigma, U95, 95 %. Other numbers are asked about.
 COVERAGE = re.compile(
     r"(?<![^\W_])k[\s_]*[=:]?[\s_]*(?P<k>[0-9]+(?:[.,][0-9]+)?)(?![.,]?[0-9])"
-    r"|(?<![\w.,])(?P<n>[0-9]+(?:[.,][0-9]+)?)[\s*-]*"
+    r"|(?<![\w.,])(?P<n>[0-9]+(?:[.,][0-9]+)?)[\s*x·×-]*"
     r"(?=(?:σ|sigma|std|stdev|stddev|sd|u)(?![^\W_]))"
     r"|(?<![^\W_])U[\s_]?(?P<U>[0-9.,]+)(?P<U_percent>\s*%)?(?![\w.])"
     r"|(?<![\w.,])(?P<level>[0-9.,]+)(?P<percent>\s*%)",

@@ -40,7 +40,7 @@ RHO = 0.6
 # Index of refraction of Mitsuba's glass, bk7, in air.
 GLASS = 1.5046 / 1.000277
 
-TAU_RHO, ENDS, N_BATCHES = ("tau", "rho"), ("", "_std_err"), 32
+TAU_RHO, ENDS, N_BATCHES = ("tau", "rho"), ("", "_std_err"), 8
 
 one_sided = pytest.mark.filterwarnings("ignore:the file describes light from")
 
@@ -112,7 +112,7 @@ def every_cell(monkeypatch):
 
 
 @pytest.mark.usefixtures("mono", "every_cell")
-@pytest.mark.parametrize("basis", ["klems", "klems-half", "tensor3", "tensor4"])
+@pytest.mark.parametrize("basis", ["klems-half", "tensor3", "tensor4"])
 @one_sided
 @pytest.mark.filterwarnings("ignore:the front is not reciprocal")  # of few points
 def test_every_basis_keeps_the_light_of_narrow_lobes(tmp_path, monkeypatch, basis):
@@ -126,7 +126,7 @@ def test_every_basis_keeps_the_light_of_narrow_lobes(tmp_path, monkeypatch, basi
     monkeypatch.setattr(radiance_export, "TREE_SIZES", {3: 16, 4: 8})
     lacquer = {"type": "roughconductor", "alpha": 0.02, "eta": 1.5, "k": 0.0}
     theta_i = (0, 30, 60, 80)
-    record = gonio.measure(lacquer, theta_i, collector="solid:40x20", rays=2**14)
+    record = gonio.measure(lacquer, theta_i, collector="solid:40x20", rays=2**12)
     losses = exporting.export(record, tmp_path / "lacquer.xml", basis)
     assert [loss.theta_i for loss in losses] == pytest.approx(theta_i)
     written = [loss.written for loss in losses]
@@ -173,8 +173,10 @@ def test_twin_points_alone_lose_the_delta(tmp_path, monkeypatch):
         lambda record: np.zeros((len(record), 2, 1)),
     )
     monkeypatch.setattr(radiance_export, "POINTS_OUT", 4)
-    exporting.export(record, tmp_path / "pane.xml")
-    light = columns(tmp_path / "pane.xml")["Transmission Back"]
+    exporting.export(record, tmp_path / "pane.xml", "klems-quarter")
+    with open(tmp_path / "pane.xml", "rb") as stream:
+        light = radiance.read(stream)["Visible", "Transmission Back"]
+    light = light * Klems("quarter").projected_solid_angles
     assert not np.allclose(light.sum(axis=0), 0.9, rtol=0.05)
 
 
@@ -224,7 +226,7 @@ def test_columns_of_the_blind_are_those_of_another_tracer(blind, side, parts):
     record = records[side]
     scores, wrong = [], []
     for number in (3, 22, 70, 115):
-        mean, error = traced(parts, number, 36 * 400)
+        mean, error = traced(parts, number, 36 * 100)
         for of, into in ((number, scores), ((number + 2) % 145, wrong)):
             tally = record.tallies[of]
             batches = tally.sums.reshape(len(tally.sums), 290) / tally.incident
@@ -512,7 +514,7 @@ def test_a_grain_is_told_of_a_tree_of_rank_3(tmp_path, recwarn):
     with pytest.warns(RuntimeWarning, match=r"not isotropic.*take tensor4 or klems"):
         gonio.bsdf(brushed, path, "tensor3", **few)
     recwarn.clear()
-    for even in ("roughdielectric:alpha=0.2", "thindielectric", "conductor"):
+    for even in ("roughdielectric:alpha=0.2", "thindielectric"):
         gonio.bsdf(parse_specimen(even), path, "tensor3", **few)
     gonio.bsdf(brushed, path, "tensor4", **few)
     assert not any("isotropic" in str(one.message) for one in recwarn)
@@ -531,8 +533,8 @@ def test_light_that_leaves_over_the_edge_is_told(tmp_path, recwarn):
     }
     scene, path = mi.load_dict({"type": "scene"} | faces), tmp_path / "pane.xml"
     with pytest.warns(RuntimeWarning, match="rays left over the edge") as told:
-        gonio.bsdf(scene, path, "klems-quarter", rays=64)
+        gonio.bsdf(scene, path, "tensor4", cells=4, rays=64)
     assert all("for a larger surface" in str(one.message) for one in told)
     recwarn.clear()
-    gonio.bsdf(scene, path, "klems-quarter", rays=64, period=2)
+    gonio.bsdf(scene, path, "tensor4", cells=4, rays=64, period=2)
     assert not recwarn.list

@@ -117,7 +117,7 @@ def test_measured_of_a_lambertian_converges(tmp_path, monkeypatch):
 @pytest.mark.usefixtures("rgb")
 def test_measured_of_an_anisotropic_colour_converges(tmp_path, monkeypatch):
     """First order in where the light goes: a bilinear grid has no patch borders."""
-    angles = [(theta, phi) for theta in (10, 50) for phi in (0, 90, 180, 270)]
+    angles = [(theta, phi) for theta in (10, 50) for phi in (0, 180)]
     theta_i, phi_i = zip(*angles)
     record = synthetic.record(
         "projected:4x8",
@@ -133,7 +133,7 @@ def test_measured_of_an_anisotropic_colour_converges(tmp_path, monkeypatch):
         monkeypatch.setattr(measured_export, "READ_BACK_RAYS", 2**16)
         losses = exporting.export(record, tmp_path / "colour.bsdf")
         misplaced.append([loss.misplaced for loss in losses])
-    assert len(losses) == 8
+    assert len(losses) == 4
     assert (np.array(misplaced[0]) > 1.7 * np.array(misplaced[1])).all()
 
 
@@ -158,7 +158,7 @@ def test_what_measured_holds_is_what_rays_find_in_it(tmp_path, monkeypatch, caps
     Twin: light of the record turned by a sector.
     """
     metal = {"type": "roughconductor", "alpha_u": 0.3, "alpha_v": 0.2}
-    angles = {"theta_i": [0, 40, 70], "phi_i": [0, 90, 180, 270]}
+    angles = {"theta_i": [0, 60], "phi_i": [0, 90, 180, 270]}
     record = gonio.measure(metal, **angles, collector="projected:9x12", rays=2**14)
     monkeypatch.setattr(measured_export, "GRID", 32)
     monkeypatch.setattr(progress, "PAUSE", 0.0)
@@ -168,10 +168,10 @@ def test_what_measured_holds_is_what_rays_find_in_it(tmp_path, monkeypatch, caps
         measured_export.MAX_DIFFERENCE
     )  # what the points of a patch may leave unknown
     monkeypatch.setattr(measured_export, "MAX_DIFFERENCE", -1.0)
-    monkeypatch.setattr(measured_export, "READ_BACK_RAYS", 2**17)
+    monkeypatch.setattr(measured_export, "READ_BACK_RAYS", 2**16)
     by_rays = exporting.export(record, tmp_path / "a.bsdf")
     measured = {"type": "measured", "filename": str(tmp_path / "a.bsdf")}
-    seen = gonio.measure(measured, **angles, collector="projected:9x12", rays=2**17)
+    seen = gonio.measure(measured, **angles, collector="projected:9x12", rays=2**16)
     fractions = seen.flux_fraction[:, :1]
     # sums of 108 absolute errors are hardly ever twice as large as their mean
     noise = [2 * one.noise for one in loss.losses(seen, fractions)]

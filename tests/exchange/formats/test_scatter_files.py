@@ -351,7 +351,7 @@ def test_tensor_trees_are_materials(tmp_path, monkeypatch):
     from gonio_mi.exchange.exports import radiance_export
     from gonio_mi.exchange.formats import radiance_material
 
-    monkeypatch.setattr(radiance_export, "TREE_SIZES", {3: 32, 4: 16})
+    monkeypatch.setattr(radiance_export, "TREE_SIZES", {3: 32, 4: 8})
     monkeypatch.setattr(radiance_export, "CELL_POINTS", 1)
     monkeypatch.setattr(radiance_material, "MAX_INCIDENT", 48)
     record = synthetic.record(
@@ -518,7 +518,7 @@ def test_raw_exports_of_an_instrument_are_refused(name, message):
 def test_a_real_material_is_measured():
     path = real("planesymmetric.speos.anisotropicbsdf")
     material = {"type": "goniometric", "filename": str(path)}
-    record = gonio.measure(material, [15, 45], rays=2**16)
+    record = gonio.measure(material, [15, 45], rays=2**14)
     blocks = [one for one in read_scatter(path).blocks if one.theta_i in (15, 45)]
     fine, coarse = (np.array([total_of(b, n)[0] for b in blocks]) for n in (200, 50))
     rule_error = np.abs(coarse - fine).max()
