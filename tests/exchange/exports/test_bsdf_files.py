@@ -45,10 +45,14 @@ TAU_RHO, ENDS, N_BATCHES = ("tau", "rho"), ("", "_std_err"), 8
 one_sided = pytest.mark.filterwarnings("ignore:the file describes light from")
 
 
+def loaded(path, of=radiance.read):
+    with open(path, "rb") as stream:
+        return of(stream)
+
+
 def columns(path):
     """Light of each incident patch in each exit patch, by block of a file."""
-    with open(path, "rb") as stream:
-        blocks = radiance.read(stream)
+    blocks = loaded(path)
     return {name: block * OMEGA for (_, name), block in blocks.items()}
 
 
@@ -174,8 +178,7 @@ def test_twin_points_alone_lose_the_delta(tmp_path, monkeypatch):
     )
     monkeypatch.setattr(radiance_export, "POINTS_OUT", 4)
     exporting.export(record, tmp_path / "pane.xml", "klems-quarter")
-    with open(tmp_path / "pane.xml", "rb") as stream:
-        light = radiance.read(stream)["Visible", "Transmission Back"]
+    light = loaded(tmp_path / "pane.xml")["Visible", "Transmission Back"]
     light = light * Klems("quarter").projected_solid_angles
     assert not np.allclose(light.sum(axis=0), 0.9, rtol=0.05)
 
@@ -341,8 +344,7 @@ def test_trees_of_a_sheet_say_what_matrices_say(tmp_path):
         path = tmp_path / f"{basis}.xml"
         settings = {"cells": cells, "rays": 2**10}
         records = gonio.bsdf(matt, path, basis, **settings)
-        with open(path, "rb") as stream:
-            file = RadianceBSDF(stream)
+        file = loaded(path, RadianceBSDF)
         for side, record in records.items():
             patches, digits = record.subdivision, TREE_DIGITS if cells else DIGITS
             wo = patches.points(1)[:, 0]
@@ -374,8 +376,7 @@ def test_command_writes_the_product_and_solar_light(tmp_path, capsys):
     assert '<Thickness unit="meter">0.001</Thickness>' in text
     assert '<Width unit="meter">2</Width>' in text
     assert "<Height" not in text
-    with open(path, "rb") as stream:
-        blocks = radiance.read(stream)
+    blocks = loaded(path)
     name = "Reflection Back"
     half = blocks["Visible", name] / 2
     assert np.allclose(blocks["Solar", name], half, atol=2 * DIGITS)
@@ -438,8 +439,7 @@ def test_a_mesh_has_a_bsdf_for_sunlight(tmp_path, capsys):
     given = ["--bsdf", "diffuse:reflectance=0.5"]
     given += ["--solar-bsdf", "diffuse:reflectance=0.25"]
     assert cli.main([*words, *given]) == 0
-    with open(tmp_path / "plate.xml", "rb") as stream:
-        blocks = radiance.read(stream)
+    blocks = loaded(tmp_path / "plate.xml")
     half = blocks["Visible", "Reflection Back"] / 2
     assert np.allclose(blocks["Solar", "Reflection Back"], half, atol=2 * DIGITS)
     assert half.any()
@@ -497,8 +497,7 @@ def test_a_coloured_face_and_a_black_back(tmp_path):
     with pytest.warns(RuntimeWarning, match=r"the back .* is black in the file"):
         records = gonio.bsdf(paint, path, "klems-quarter", rays=256)
     assert records["back"].channels == ("Y",)
-    with open(path, "rb") as stream:
-        file = RadianceBSDF(stream)
+    file = loaded(path, RadianceBSDF)
     wo = file.basis.points(1)[:, 0]
     seen = file.values("front", 0, 40.0, 80.0, wo) * file.basis.projected_solid_angles
     # every ray has this weight; seven digits, and the matrices to XYZ and back

@@ -58,28 +58,31 @@ def glossy():
     )
 
 
+def loaded(path, of=RadianceBSDF):
+    with open(path, "rb") as stream:
+        return of(stream)
+
+
 # --------------------------------------------------------------------- what is written
 
 
 @pytest.mark.usefixtures("mono", "coarse")
 def test_a_lambertian_is_one_value():
     """Of Klems patches, and of the cells of trees, which become one."""
-    for basis, rank in (("klems", None), ("klems-quarter", None), ("tensor3", 3)):
+    for basis in ("klems-quarter", "tensor3"):
         side = radiance_export.Side(synthetic.lambertian(), basis)
         block = side.blocks()["Visible", "Reflection Back"]
-        if rank is None:
-            assert (np.abs(block - 0.5 / np.pi) <= 64 * EPS).all()
-            continue
-        tree = block
-        assert tree.root.shape == (1,) * rank
-        assert abs(tree.root.item() - 0.5 / np.pi) <= 64 * EPS
+        if basis == "tensor3":
+            block = block.root
+            assert block.shape == (1,) * 3
+        assert (np.abs(block - 0.5 / np.pi) <= 64 * EPS).all()
 
 
 @pytest.mark.usefixtures("mono")
 def test_finer_trees_lose_less(tmp_path, glossy, monkeypatch):
     """First order: cells that do not fit the record's patches."""
     lost = []
-    for size in (16, 32):
+    for size in (8, 16):
         monkeypatch.setattr(radiance_export, "TREE_SIZES", {3: size})
         losses = exporting.export(glossy, tmp_path / "a.xml", "tensor3")
         lost.append(np.mean([loss.misplaced for loss in losses]))
@@ -191,8 +194,7 @@ def test_radiance_renders_what_was_written(tmp_path, glossy, basis, side):
         )
     glossy = glossy.with_settings(side=side)
     exporting.export(glossy, tmp_path / "plate.xml", basis)
-    with open(tmp_path / "plate.xml", "rb") as stream:
-        own = RadianceBSDF(stream)
+    own = loaded(tmp_path / "plate.xml")
     rng = np.random.default_rng(5)
     theta_i, phi_i = 40.0, 75.0
     wi = direction(*np.radians([theta_i, phi_i]))
@@ -206,12 +208,8 @@ def test_radiance_renders_what_was_written(tmp_path, glossy, basis, side):
             values = own.values(side, 1, theta_i, phi_i, wo)
         else:
             values = own.values(side, 0, theta_o, phi_o, np.tile(wi, (100, 1)))
-        seen = rtrace(
-            tmp_path,
-            "plate.xml",
-            wi * signs,
-            wo * signs * [[1, 1, 1], [1, 1, -1]][hemisphere],
-        )
+        eyes = wo * signs * [[1, 1, 1], [1, 1, -1]][hemisphere]
+        seen = rtrace(tmp_path, "plate.xml", wi * signs, eyes)
         colours = basis == "tensor4"
         expected = values @ XYZ.T if colours else values.repeat(3, axis=1)
         # of the radiance, and of the direct light that it comes from
@@ -221,8 +219,7 @@ def test_radiance_renders_what_was_written(tmp_path, glossy, basis, side):
 @pytest.mark.usefixtures("mono", "coarse")
 def test_twin_radiance_would_notice_a_turned_emitter(tmp_path, glossy):
     exporting.export(glossy, tmp_path / "plate.xml", "tensor3")
-    with open(tmp_path / "plate.xml", "rb") as stream:
-        own = RadianceBSDF(stream)
+    own = loaded(tmp_path / "plate.xml")
     wi, wo = direction(0.7, 1.3), direction(0.5, 4.0)
     (seen,) = rtrace(tmp_path, "plate.xml", wi, wo[None])
     for turned in (0, 90):
@@ -235,8 +232,7 @@ def test_twin_radiance_would_notice_a_turned_emitter(tmp_path, glossy):
 def written(path, blocks):
     with open(path, "wb") as stream:
         radiance.write(blocks, stream)
-    with open(path, "rb") as stream:
-        return RadianceBSDF(stream)
+    return loaded(path)
 
 
 def random_block(basis, size=4, seed=8):
@@ -267,9 +263,8 @@ def test_one_transmission_is_that_of_both_sides(tmp_path, basis, told):
 
 def test_text_before_the_declaration_is_passed_over():
     stream = io.BytesIO()
-    radiance.write(
-        {("Visible", "Reflection Back"): random_block("klems-quarter")}, stream
-    )
+    block = random_block("klems-quarter")
+    radiance.write({("Visible", "Reflection Back"): block}, stream)
     data = b"Recover using: genBSDF -recover x\n" + stream.getvalue()
     blocks, again = (radiance.read(io.BytesIO(d)) for d in (data, stream.getvalue()))
     for key, block in blocks.items():
@@ -277,7 +272,7 @@ def test_text_before_the_declaration_is_passed_over():
 
 
 @pytest.mark.usefixtures("mono")
-@pytest.mark.parametrize(("basis", "size"), [("tensor3", 16), ("tensor4", 8)])
+@pytest.mark.parametrize(("basis", "size"), [("tensor3", 8), ("tensor4", 8)])
 def test_every_incident_cell_keeps_its_light(tmp_path, basis, size):
     """As `goniometric` reads a tree of random cells: the sums over cells of exit.
 
@@ -317,9 +312,8 @@ def test_a_window_transmits_alike_from_everywhere(tmp_path):
     written(tmp_path / "pane.xml", {("Visible", name): tree for name in names})
     theta = np.array([0, 5, 10, 20, 30, 45, 60, 85.0])
     phi = 37 * np.arange(8)
-    (*seen,) = radiance_totals(
-        tmp_path / "pane.xml", np.stack([theta, phi], 1).tolist()
-    )
+    path = tmp_path / "pane.xml"
+    seen = radiance_totals(path, np.stack([theta, phi], 1).tolist())
     assert np.allclose(seen, t, rtol=2 * RADIANCE_NOISE)
     with open(tmp_path / "pane.xml", "rb") as stream:
         means = radiance_material.material(stream, "back")
@@ -327,8 +321,7 @@ def test_a_window_transmits_alike_from_everywhere(tmp_path):
     assert not means.flux_fraction[:, 0].any()
     # twin: 3 x 3 points in patches 10 degrees wide
     wo = EqualProjectedSolidAngle(32, 64).points(3).reshape(-1, 3)
-    with open(tmp_path / "pane.xml", "rb") as stream:
-        coarse = RadianceBSDF(stream).values("back", 1, 0.0, 0.0, wo)
+    coarse = loaded(path).values("back", 1, 0.0, 0.0, wo)
     assert abs(coarse.mean() * np.pi / t - 1) > 0.2
 
 
@@ -450,7 +443,7 @@ def test_colours_come_back(kind):
 def test_radiance_matrices_come_back():
     rng = np.random.default_rng(4)
     blocks = {
-        (wavelength, direction): rng.random((145, 145))
+        (wavelength, direction): rng.random((41, 41))
         for wavelength in radiance.DETECTORS
         for direction in radiance.DIRECTIONS.values()
     }
