@@ -5,6 +5,15 @@ import numpy as np
 from gonio_mi.collector.directions import direction
 from gonio_mi.exchange.formats.scatter import Block, Scatter
 
+# A text of an engineered diffuser.
+VIAVI = """!!EDX5 10-0     RPC Photonics     10/28/2014
+!!BSDF Data
+10.000\t0.000
+0.0000\t0.0000\t0.6099
+15.0000\t0.0000\t26.66
+15.0000\t90.0000\t0.5
+"""
+
 POLAR, AZIMUTH = np.arange(0, 91, 5.0), np.arange(0, 361, 15.0)
 
 

@@ -5,7 +5,7 @@ import io
 
 import numpy as np
 import pytest
-from lobes import lobes, phong
+from lobes import VIAVI, lobes, phong
 
 import gonio_mi as gonio
 from gonio_mi.cli import main
@@ -19,9 +19,7 @@ from gonio_mi.exchange.formats.tensor_tree import TensorTree
 TEXTS = {
     "fred.txt": "type bsdf_data\nformat angles=deg bsdf=value scale=1\n"
     "10 0\n5 0 0.1\n9 0 0.1\n20 0\n5 0 0.1\n9 0 0.25\n",
-    "viavi.txt": "!!EDX5 10-0     RPC Photonics     10/28/2014\n!!BSDF Data\n"
-    "10.000\t0.000\n0.0000\t0.0000\t0.6099\n15.0000\t0.0000\t26.66\n"
-    "15.0000\t90.0000\t0.5\n",
+    "viavi.txt": VIAVI,
     "a.astm": "KEY words\nNUM_POINTS 1\nVARS theta_i,phi_i,theta_s,phi_s,R\n"
     "0,0,1,2,0.5\n",
     # no reader takes these

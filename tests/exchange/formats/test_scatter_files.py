@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import synthetic
 from budget import Verdict, agree, disagree, normal_scores
-from lobes import AZIMUTH, POLAR, lobes, phong
+from lobes import AZIMUTH, POLAR, VIAVI, lobes, phong
 from scipy import stats
 from scipy.spatial.transform import Rotation
 from shared_data import DATA, real
@@ -161,25 +161,28 @@ def test_open_material_is_as_its_schema_asks(tmp_path):
         jsonschema.validate(content, json.loads(schema.read_text()))
 
 
-def test_rows_of_open_material_in_the_plane_are_a_table_only(tmp_path):
+def look_up_table(tmp_path, wavelengths, rows):
+    """File of OpenMATERIAL."""
     metadata = dict.fromkeys(("name", "uuid", *open_material.METADATA), "1.0.0")
     metadata["uuid"] = "42e8da0f-ba1d-4cc8-b07a-178819c894c0"
-    table = [[9.05e-7, 0.5, 0.1, 0.0, 0.2], [9.05e-7, 0.5, 0.1, 3.141592, 0.3]]
-    brdf = {"wavelengths": [9.05e-7], "lookupTable": table}
+    brdf = {"wavelengths": wavelengths, "lookupTable": rows}
     path = tmp_path / "a.xompt"
     path.write_text(json.dumps({"metadata": metadata, "brdf": brdf}))
+    return path
+
+
+def test_rows_of_open_material_in_the_plane_are_a_table_only(tmp_path):
+    rows = [[9.05e-7, 0.5, 0.1, 0.0, 0.2], [9.05e-7, 0.5, 0.1, 3.141592, 0.3]]
+    path = look_up_table(tmp_path, [9.05e-7], rows)
     read = gonio.read_measured(path)
     assert read.channel == "905nm"
     assert read.phi_o == pytest.approx([0, 180], abs=1e-3)
-    with pytest.raises(FileFormatError, match="no grid over the hemisphere"):
-        read_scatter(path)
-    # a pole that is told for one of two wavelengths
+    # and a pole that is told for one of two wavelengths
     both = [[nm, 0.5, 0.1, phi, 0.2] for nm in (5e-7, 6e-7) for phi in (0, 2, 4)]
     both.append([5e-7, 0.5, 0, 0, 0.2])
-    polar = {"wavelengths": [5e-7, 6e-7], "lookupTable": both}
-    path.write_text(json.dumps({"metadata": metadata, "brdf": polar}))
-    with pytest.raises(FileFormatError, match="no grid over the hemisphere"):
-        read_scatter(path)
+    for wavelengths, table in (([9.05e-7], rows), ([5e-7, 6e-7], both)):
+        with pytest.raises(FileFormatError, match="no grid over the hemisphere"):
+            read_scatter(look_up_table(tmp_path, wavelengths, table))
 
 
 # --------------------------------------------------------------- records there and back
@@ -528,14 +531,6 @@ def test_a_real_material_is_measured():
 
 # ------------------------------------------------------- other texts of such programs
 
-VIAVI = """!!EDX5 10-0     RPC Photonics     10/28/2014
-!!BSDF Data
-10.000\t0.000
-0.0000\t0.0000\t0.6099
-15.0000\t0.0000\t26.66
-15.0000\t90.0000\t0.5
-"""
-
 
 def text_of(tmp_path, text, name="a.txt", mark=b""):
     path = tmp_path / name
@@ -611,13 +606,8 @@ def test_an_azimuth_of_360_is_that_of_0(tmp_path):
 
 
 def test_rows_of_open_material_at_90_degrees_are_counted(tmp_path):
-    metadata = dict.fromkeys(("name", "uuid", *open_material.METADATA), "1.0.0")
-    metadata["uuid"] = "42e8da0f-ba1d-4cc8-b07a-178819c894c0"
     rows = [[5e-7, 0.5, theta, 0.0, 0.2] for theta in (0.1, 0.2, 1.570796)]
-    content = {"wavelengths": [5e-7], "lookupTable": rows}
-    path = tmp_path / "a.json"
-    path.write_text(json.dumps({"metadata": metadata, "brdf": content}))
-    table = gonio.read_measured(path)
+    table = gonio.read_measured(look_up_table(tmp_path, [5e-7], rows))
     assert len(table) == 2
     assert "1 of 3 rows, at 90 degrees, are left out" in table.notes
 

@@ -24,7 +24,7 @@ def written(tmp_path, text, name="table.txt", encoding="utf-8"):
 # --------------------------------------------------------------------- names of columns
 
 
-# Names, roles and units; a dash where there is none.
+# Names, roles, units and coverage factors; a dash where there is none.
 NAMES = """
 theta_i/deg              | theta_i    | deg
 θi (°)                   | theta_i    | deg
@@ -76,15 +76,37 @@ BRDF/1000                | -          | -
 BRDF^2                   | -          | -
 BRDF (arb. units)        | -          | -
 normalised BRDF          | -          | -
+U95                      | sigma      | -    | 1.96
+U_95                     | sigma      | -    | 1.96
+U95(BRDF)                | sigma      | -    | 1.96
+U_99                     | sigma      | -    | 2.576
+2.5 sigma                | sigma      | -    | 2.5
+1,96 σ                   | sigma      | -    | 1.96
+2 std                    | sigma      | -    | 2
+2SD                      | sigma      | -    | 2
+2*std                    | sigma      | -    | 2
+2 u(BRDF)                | sigma      | -    | 2
+uncertainty k 2          | sigma      | -    | 2
+uncertainty (k:2)        | sigma      | -    | 2
+sigma_k2                 | sigma      | -    | 2
+uncertainty (68 %)       | sigma      | -    | 1
+uncertainty (95 %)       | sigma      | -    | 1.96
+uncertainty (95.45 %)    | sigma      | -    | 2
+uncertainty (99 %)       | sigma      | -    | 2.576
+uncertainty (99.7 %)     | sigma      | -    | 3
+uncertainty (99,73 %)    | sigma      | -    | 3
+uncertainty [1/sr]       | sigma      | 1/sr | 1
+u(550nm)                 | sigma      | -    | 1
 """
 
 
 @pytest.mark.parametrize("line", NAMES.strip().splitlines())
 def test_names_that_people_write(line):
-    name, role, unit = (part.strip() for part in line.split("|"))
+    name, role, unit, *k = (part.strip() for part in line.split("|"))
     column = recognised(name)
     assert (column.role if column else "-") == role
     assert ((column and column.unit) or "-") == unit
+    assert not k or column.coverage == float(*k)
 
 
 # ------------------------------------------------------------------------ small tables

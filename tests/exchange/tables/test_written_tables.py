@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import gonio_mi as gonio
-from gonio_mi.exchange.tables.names import recognised
 
 EPS = np.finfo(float).eps
 PI = np.pi
@@ -358,39 +357,6 @@ def test_repeated_directions_are_noted(tmp_path):
     assert any("1 direction with several values" in note for note in notes)
     text = f"{HEAD}brdf;sigma\n{ROW}0.1;0.2\n{ROW}0.9;0.2\n"
     assert len(read(tmp_path, text)) == 2
-
-
-# Names of uncertainties, and their coverage factor.
-FACTORS = """
-U95 | 1.96
-U_95 | 1.96
-U95(BRDF) | 1.96
-U_99 | 2.576
-2.5 sigma | 2.5
-1,96 σ | 1.96
-2 std | 2
-2SD | 2
-2*std | 2
-2 u(BRDF) | 2
-uncertainty k 2 | 2
-uncertainty (k:2) | 2
-sigma_k2 | 2
-uncertainty (68 %) | 1
-uncertainty (95 %) | 1.96
-uncertainty (95.45 %) | 2
-uncertainty (99 %) | 2.576
-uncertainty (99.7 %) | 3
-uncertainty (99,73 %) | 3
-uncertainty [1/sr] | 1
-u(550nm) | 1
-"""
-
-
-@pytest.mark.parametrize("line", FACTORS.strip().splitlines())
-def test_coverage_in_names_of_uncertainties(line):
-    name, k = line.split(" | ")
-    column = recognised(name)
-    assert (column.role, column.coverage) == ("sigma", float(k))
 
 
 def test_rows_without_an_angle_are_counted(tmp_path):
