@@ -26,7 +26,7 @@ BUDGET = {
     "commands": 1200,
     "entrance": 750,
     "materials": 2660,
-    "exchange": 3830,
+    "exchange": 3770,
     "analysis": 4040,
     "validation": 8870,
 }

@@ -82,7 +82,7 @@ def test_a_lambertian_is_one_value():
 def test_finer_trees_lose_less(tmp_path, glossy, monkeypatch):
     """First order: cells that do not fit the record's patches."""
     lost = []
-    for size in (8, 16):
+    for size in (16, 32):
         monkeypatch.setattr(radiance_export, "TREE_SIZES", {3: size})
         losses = exporting.export(glossy, tmp_path / "a.xml", "tensor3")
         lost.append(np.mean([loss.misplaced for loss in losses]))
