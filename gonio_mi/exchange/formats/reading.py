@@ -249,23 +249,24 @@ def read_measured(
         else:
             with _named(f"cannot load {path}"):
                 scatter = _scatter(known, stream, path)
-            held = [name for h, name in enumerate(QUANTITIES) if scatter.of(h)]
-            quantity = held[0] if quantity is None and len(held) == 1 else quantity
-            if quantity not in held:
+            names = [name for h, name in enumerate(QUANTITIES) if scatter.of(h)]
+            quantity = names[0] if quantity is None and len(names) == 1 else quantity
+            if quantity is None or quantity not in names:
                 raise SettingError(
-                    f"{path} holds {' and '.join(held)}: say --quantity "
-                    f"{' or '.join(held)}"
+                    f"{path} holds {' and '.join(names)}: say --quantity "
+                    f"{' or '.join(names)}"
                 )
             points = scatter.points(quantity)
     channel = chosen_channel(path, points.channels, channel)
     values = points.values[:, points.channels.index(channel)]
     rows = ~(np.isnan(values) & points.partial)
     several = len(points.channels) > 1 or channel.endswith("nm")
-    settings: Any = {"channel": channel if several else None}
-    settings |= {"header": points.header, "notes": points.notes, "name": str(path)}
-    columns = *points.angles[rows].T, values[rows]
+    angles: Any = points.angles[rows].T
+    settings: Any = {"quantity": quantity or "brdf", "name": str(path)}
+    settings |= {"channel": channel if several else None}
+    settings |= {"header": points.header, "notes": points.notes}
     try:
-        table = MeasuredTable(*columns, quantity=quantity or "brdf", **settings)
+        table = MeasuredTable(*angles, values[rows], **settings)
     except ValueError as error:
         raise FileFormatError(f"{path}: {error}") from None
     return repeats_noted(table)

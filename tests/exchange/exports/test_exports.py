@@ -17,6 +17,7 @@ from gonio_mi.collector.directions import direction
 from gonio_mi.collector.klems import Klems
 from gonio_mi.errors import FileFormatError, VariantError
 from gonio_mi.exchange.exports import exporting, loss, measured_export, radiance_export
+from gonio_mi.exchange.formats import merl
 from gonio_mi.files import tensor_file
 from gonio_mi.materials import resampling
 from gonio_mi.transport.collector_sphere import CollectorSphere
@@ -387,6 +388,9 @@ def test_without_xarray_a_sentence(monkeypatch):
 
 @pytest.mark.usefixtures("mono", "coarse")
 def test_command_prints_what_was_lost(tmp_path, capsys, glossy, monkeypatch):
+    # which tests of the command bsdf do in earnest
+    back = [loss.Loss(0, 0, of, 0.5, 0, 0.5, 0.01, 0) for of in ("dhr", "dht")]
+    monkeypatch.setattr(radiance_export, "read_back", lambda *_: back)
     glossy.save(tmp_path / "run.npz")
     target = tmp_path / "run.xml"
     assert cli.main(["export", str(tmp_path / "run.npz"), "-o", str(target)]) == 0
@@ -396,8 +400,6 @@ def test_command_prints_what_was_lost(tmp_path, capsys, glossy, monkeypatch):
     assert len(lines) == 3 + 2 + 1 + 1
     assert "of the flux is in neighbouring patches, at worst" in lines[1]
     assert "--basis tensor3" in "".join(lines)
-    # once is enough
-    monkeypatch.setattr(radiance_export, "read_back", lambda *_: [])
     finer = ["--basis", "tensor3"]
     assert (
         cli.main(["export", str(tmp_path / "run.npz"), "-o", str(target), *finer]) == 0
@@ -407,7 +409,7 @@ def test_command_prints_what_was_lost(tmp_path, capsys, glossy, monkeypatch):
     words = "--every", "-o", str(target)
     assert cli.main(["export", str(tmp_path / "run.npz"), *words]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 7 + 1 + 1
+    assert len(lines) == 7 + 2 + 1 + 1
     assert "of the flux is in other patches" in lines[1]
     assert target.exists()
 
@@ -428,8 +430,9 @@ def test_records_of_other_channels_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize("both", [True, False])
-def test_transmitted_light_that_a_file_cannot_hold_is_told(tmp_path, both):
+def test_transmitted_light_that_a_file_cannot_hold_is_told(tmp_path, both, monkeypatch):
     """Twin: nothing is said where none was transmitted, or where the file holds it."""
+    monkeypatch.setattr(merl, "CELLS", (9, 9, 18))
     record = synthetic.record(both=both)
     for name in ("all.csv", "reflected.binary"):
         with warnings.catch_warnings(record=True) as said:
