@@ -261,12 +261,12 @@ def read_measured(
     values = points.values[:, points.channels.index(channel)]
     rows = ~(np.isnan(values) & points.partial)
     several = len(points.channels) > 1 or channel.endswith("nm")
-    angles: Any = points.angles[rows].T
+    numbers: Any = *points.angles[rows].T, values[rows]
     settings: Any = {"quantity": quantity or "brdf", "name": str(path)}
     settings |= {"channel": channel if several else None}
     settings |= {"header": points.header, "notes": points.notes}
     try:
-        table = MeasuredTable(*angles, values[rows], **settings)
+        table = MeasuredTable(*numbers, **settings)
     except ValueError as error:
         raise FileFormatError(f"{path}: {error}") from None
     return repeats_noted(table)

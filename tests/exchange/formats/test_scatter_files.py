@@ -347,14 +347,14 @@ def test_records_that_a_format_cannot_hold(tmp_path):
     assert gonio.compare(cones, table).passed
 
 
-@pytest.mark.usefixtures("rgb")
+@pytest.mark.usefixtures("mono")
 @pytest.mark.filterwarnings("ignore:the file describes light from the front only")
 @pytest.mark.filterwarnings("ignore:the front is not reciprocal")  # made-up lobes
 def test_tensor_trees_are_materials(tmp_path, monkeypatch):
     from gonio_mi.exchange.exports import radiance_export
     from gonio_mi.exchange.formats import radiance_material
 
-    monkeypatch.setattr(radiance_export, "TREE_SIZES", {3: 32, 4: 8})
+    monkeypatch.setattr(radiance_export, "TREE_SIZES", {3: 32, 4: 16})
     monkeypatch.setattr(radiance_export, "CELL_POINTS", 1)
     monkeypatch.setattr(radiance_material, "MAX_INCIDENT", 48)
     record = synthetic.record(
