@@ -3,7 +3,6 @@
 import argparse
 import sys
 from collections.abc import Sequence
-from typing import Any
 
 import mitsuba as mi
 
@@ -13,15 +12,11 @@ from .batch_designs import print_ratios
 from .counting import print_rates
 from .coverage import CASES, print_coverage
 from .diffuse_facets import facet_contests
-from .endurance import print_growth
 from .equal_error import print_contests, print_costs
 from .micro_geometry import print_speeds
-from .stacked_integrals import print_integrals
-from .stacks import print_stacks
+from .stacks import print_growth, print_integrals, print_stacks
 from .tolerances import print_campaigns
 from .turbid_layer import layer_contests, print_layer_speeds
-
-__all__ = ["main"]
 
 # Tables of their own, each with its own options.
 TABLES = {
@@ -30,6 +25,19 @@ TABLES = {
     "round_trips": round_trips.main,
     "stock": stock.main,
     "windows": windows.main,
+}
+
+# Parts of the benchmark that are options without a value.
+PARTS = {
+    "counting": "raw speed only",
+    "equal-error": "equal error only",
+    "geometry": "paths on a rough mirror, and equal error on diffuse facets, instead",
+    "media": "rays through a medium, and equal error beside volpath, instead",
+    "integrals": "a stack of them and each, instead",
+    "stacks": "what a direction costs among 1 to 1000, and their memory, instead",
+    "error": "sobol against independent rays, instead",
+    "coverage": "of intervals of 95 %%, instead",
+    "auto": "the estimator auto beside others, and its coverage, instead",
 }
 
 
@@ -45,88 +53,33 @@ def main(argv: Sequence[str]) -> None:
         f"Other tables: {', '.join(TABLES)}, each as the first word.",
     )
     part = parser.add_mutually_exclusive_group()
-    part.add_argument("--counting", action="store_true", help="raw speed only")
-    part.add_argument("--equal-error", action="store_true", help="equal error only")
-    part.add_argument(
-        "--geometry",
-        action="store_true",
-        help="paths on a rough mirror, and equal error on diffuse facets, instead",
+    for name, what in PARTS.items():
+        part.add_argument(f"--{name}", action="store_true", help=what)
+    what = "memory and time per ray from 1e7 to RAYS (1e9), instead"
+    long = {"nargs": "?", "type": float, "const": 1e9, "metavar": "RAYS", "help": what}
+    part.add_argument("--long", **long)
+    what = "what campaigns of this tolerance cost, beside grids; hours below 0.01"
+    part.add_argument("--tolerance", type=float, metavar="X", help=what)
+    add = parser.add_argument
+    what = "specimens of --tolerance, --auto (no coverage) or --coverage"
+    add("--only", nargs="+", default=(), help=what)
+    add("--theta-max", type=float, default=80.0, help="of --tolerance")
+    what = "--tolerance without grids beside it"
+    add("--no-grids", action="store_true", help=what)
+    what = (
+        "for raw speed 1.7e7, for --error 1e8, for --geometry 4.2e6, for --media "
+        "2.1e6, for --stacks 16384, and the most for --coverage 1e6, if not given"
     )
-    part.add_argument(
-        "--media",
-        action="store_true",
-        help="rays through a layer of a medium, and equal error beside volpath, "
-        "instead",
-    )
-    part.add_argument(
-        "--integrals", action="store_true", help="a stack of them and each, instead"
-    )
-    part.add_argument(
-        "--stacks",
-        action="store_true",
-        help="what a direction costs among 1 to 1000, and their memory, instead",
-    )
-    part.add_argument(
-        "--error", action="store_true", help="sobol against independent rays, instead"
-    )
-    part.add_argument(
-        "--coverage", action="store_true", help="of intervals of 95 %%, instead"
-    )
-    part.add_argument(
-        "--auto",
-        action="store_true",
-        help="cost of the estimator auto beside others', and its coverage, instead",
-    )
-    part.add_argument(
-        "--long",
-        nargs="?",
-        type=float,
-        const=1e9,
-        metavar="RAYS",
-        help="memory and time per ray from 1e7 to RAYS (1e9), instead",
-    )
-    _add_tolerance(parser, part)
-    parser.add_argument(
-        "--rays",
-        type=float,
-        help="for raw speed 1.7e7, for --error 1e8, for --geometry 4.2e6, for --media "
-        "2.1e6, for --stacks 16384, and the most for --coverage 1e6, if not given",
-    )
-    parser.add_argument("--repeats", type=int, default=7)
-    parser.add_argument("--seeds", type=int, default=6, help="for --error (6)")
-    parser.add_argument(
-        "--target", type=float, default=0.01, help="RMS error to reach (0.01)"
-    )
-    parser.add_argument(
-        "--limit",
-        type=float,
-        default=10.0,
-        help="CPU seconds of one run, beyond which costs are extrapolated (10)",
-    )
-    parser.add_argument("--variant", default="llvm_ad_mono")
+    add("--rays", type=float, help=what)
+    add("--repeats", type=int, default=7)
+    add("--seeds", type=int, default=6, help="for --error (6)")
+    add("--target", type=float, default=0.01, help="RMS error to reach (0.01)")
+    what = "CPU seconds of one run, beyond which costs are extrapolated (10)"
+    add("--limit", type=float, default=10.0, help=what)
+    add("--variant", default="llvm_ad_mono")
     options = parser.parse_args(argv)
     mi.set_variant(options.variant)
     _run(options)
-
-
-def _add_tolerance(parser: argparse.ArgumentParser, part: Any) -> None:
-    """Add the options of the study of whole materials."""
-    part.add_argument(
-        "--tolerance",
-        type=float,
-        metavar="X",
-        help="what campaigns of this tolerance cost, beside grids; hours below 0.01",
-    )
-    parser.add_argument(
-        "--only",
-        nargs="+",
-        default=(),
-        help="specimens of --tolerance, --auto (no coverage) or --coverage",
-    )
-    parser.add_argument("--theta-max", type=float, default=80.0, help="of --tolerance")
-    parser.add_argument(
-        "--no-grids", action="store_true", help="--tolerance without grids beside it"
-    )
 
 
 def _run(options: argparse.Namespace) -> None:

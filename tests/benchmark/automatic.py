@@ -20,8 +20,6 @@ from .diffuse_facets import facets
 from .table import print_table
 from .timing import cpu_seconds, in_turns
 
-__all__ = ["SPECIMENS", "print_auto_coverage", "print_auto_costs"]
-
 THETA_I = 45
 
 # By hand. Points: one for each patch, and what is best on glossy facets.

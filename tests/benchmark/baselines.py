@@ -17,20 +17,6 @@ from gonio_mi.quadrature import integrate
 
 from . import c_loop
 
-__all__ = [
-    "PATCHES",
-    "THETA_I",
-    "Baseline",
-    "c_rays",
-    "chi2_rays",
-    "gonio_rays",
-    "numba_rays",
-    "numpy_rays",
-    "patch_integrals",
-    "samples",
-    "without_renderer",
-]
-
 PATCHES = EqualProjectedSolidAngle(30, 30)
 THETA_I = 45.0  # degrees
 

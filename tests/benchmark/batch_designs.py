@@ -16,15 +16,6 @@ from .baselines import PATCHES
 from .table import print_table
 from .timing import in_turns
 
-__all__ = [
-    "BATCHES",
-    "MATERIALS",
-    "Crossing",
-    "crossing",
-    "mean_squares",
-    "print_ratios",
-]
-
 # The paper's materials and its angles, then stock BSDFs of Mitsuba.
 MATERIALS: dict[str, tuple[dict[str, Any], float]] = {
     "diffuse": ({"type": "diffuse", "reflectance": 1.0}, 45),

@@ -12,8 +12,6 @@ import numpy as np
 from gonio_mi.array_types import Counts
 from gonio_mi.collector import EqualProjectedSolidAngle
 
-__all__ = ["CompilerError", "count_diffuse", "library"]
-
 SOURCE = Path(__file__).with_name("count_diffuse.c")
 COMPILERS = ("cc", "gcc", "clang")
 # sqrtf without errno is one instruction

@@ -12,8 +12,6 @@ from pathlib import Path
 from .table import print_table
 from .timing import in_turns
 
-__all__ = ["main"]
-
 ROUGH = "roughconductor:alpha=0.3,distribution=ggx"
 
 # Each makes what those after it read.

@@ -8,8 +8,6 @@ from .baselines import Baseline, chi2_rays, gonio_rays, samples, without_rendere
 from .table import print_table
 from .timing import in_turns, speeds
 
-__all__ = ["SPECIMENS", "print_rates", "baselines"]
-
 SPECIMENS: dict[str, dict[str, Any]] = {
     "diffuse": {"type": "diffuse", "reflectance": 1.0},
     "rough conductor": {"type": "roughconductor", "alpha": 0.2, "distribution": "ggx"},

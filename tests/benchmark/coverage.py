@@ -17,8 +17,6 @@ from gonio_mi.results.summary import summarize
 from .diffuse_facets import facets
 from .table import print_table
 
-__all__ = ["CASES", "Case", "Coverage", "coverage", "print_coverage", "truth_of"]
-
 LEVEL = 0.95
 
 # Rays of one measurement, and how often it is repeated with another seed.

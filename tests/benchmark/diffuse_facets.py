@@ -17,8 +17,6 @@ from .baselines import PATCHES, THETA_I, Baseline, gonio_rays
 from .equal_error import Contests
 from .renderers import KLEMS, path_samples, radiance_genbsdf
 
-__all__ = ["CELLS", "facet_contests", "facets", "facets_of_radiance"]
-
 # Of the height field: cells along either side, and their length.
 CELLS = 64
 SPACING = 2 / CELLS

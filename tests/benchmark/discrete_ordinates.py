@@ -11,8 +11,6 @@ import numpy as np
 from gonio_mi.array_types import Floats
 from gonio_mi.collector import Subdivision, subdivision
 
-__all__ = ["Layer", "henyey_greenstein", "theory"]
-
 # Optical thickness, albedo, and the Legendre coefficient of each order.
 Layer = tuple[float, float, Callable[[int], float]]
 

@@ -34,16 +34,6 @@ from .renderers import (
 from .table import print_table
 from .timing import cpu_seconds, in_turns
 
-__all__ = [
-    "Contests",
-    "Found",
-    "contests",
-    "error",
-    "print_contests",
-    "print_costs",
-    "search",
-]
-
 Contests = dict[str, list[tuple[Baseline, Floats]]]
 
 WHITE = {"type": "diffuse", "reflectance": 1.0}

@@ -14,8 +14,6 @@ from numpy.typing import ArrayLike
 
 from gonio_mi.array_types import Floats
 
-__all__ = ["REFLECTANCE", "brdf", "patch_means", "walls"]
-
 REFLECTANCE = 0.8
 
 # Panels of a wall. They shrink towards the bottom, where the form factors vary fastest.

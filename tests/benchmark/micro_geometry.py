@@ -24,8 +24,6 @@ from gonio_mi.transport.specimen import Specimen
 from .table import print_table
 from .timing import in_turns, speeds
 
-__all__ = ["bare_paths", "film_paths", "gonio_paths", "print_speeds"]
-
 THETA_I = 30.0  # degrees
 
 # No path on such a surface has as many events.

@@ -19,8 +19,6 @@ from gonio_mi.results.planning import rms_expectation
 from gonio_mi.results.record import Record
 from gonio_mi.results.statistics import student_score
 
-__all__ = ["main"]
-
 # Its name, reference, measured value, standard error, and p-value.
 Row = tuple[str, float, float, float, float]
 

@@ -18,13 +18,6 @@ from gonio_mi.collector.klems import Klems
 
 from .baselines import PATCHES, THETA_I, Baseline
 
-__all__ = [
-    "KLEMS",
-    "path_directions",
-    "path_samples",
-    "radiance_genbsdf",
-]
-
 KLEMS = Klems()
 
 # No path has as many events.

@@ -21,8 +21,6 @@ from gonio_mi.instrument.specimen_text import parse_specimen
 from gonio_mi.results.campaign_outcome import PredictionError
 from gonio_mi.results.prediction_error import prediction_error
 
-__all__ = ["round_trips"]
-
 # Each with the basis of a Radiance file.
 FORMATS = {
     "a.npz": "",

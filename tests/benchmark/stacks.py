@@ -1,16 +1,15 @@
-"""A stack of incident directions: cost of each of them, and memory, as it grows."""
+"""How time and memory grow: with directions in a stack, and with rays."""
 
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from gonio_mi.campaigns.measure import measure
 
-from .baselines import PATCHES
+from .baselines import PATCHES, THETA_I
 from .table import print_table
-from .timing import in_turns, peak_memory
-
-__all__ = ["print_stacks"]
+from .timing import cpu_seconds, in_turns, peak_memory
 
 SPECIMENS = {
     "rough conductor": {"type": "roughconductor", "alpha": 0.2, "distribution": "ggx"},
@@ -22,6 +21,10 @@ SPECIMENS = {
     },
 }
 DIRECTIONS = (1, 10, 100, 1000)
+
+# Of integrals.
+KINDS = ("roughconductor", "roughplastic", "roughdielectric")
+ANGLES = np.linspace(0, 80, 90).tolist()
 
 
 def print_stacks(rays: int, repeats: int) -> None:
@@ -50,3 +53,49 @@ def print_stacks(rays: int, repeats: int) -> None:
 
 def _send(name: str, theta_i: list[float] | float, rays: int) -> None:
     measure(SPECIMENS[name], theta_i, collector=PATCHES, rays=rays, footprint="full")
+
+
+def print_integrals(repeats: int) -> None:
+    """Print what the integrals of 90 directions cost, in one stack and alone."""
+    rows = []
+    for kind in KINDS:
+        runs = {"alone": partial(_alone, kind), "stack": partial(_integrals, kind)}
+        for how_many, one in in_turns(runs, repeats).items():
+            each = f"{1e3 * one.cpu / 90:.3g}", f"{1e3 * one.wall / 90:.3g}"
+            rows.append((kind, how_many, *each))
+    print_table(
+        "Integrals: 90 directions, each over 900 patches",
+        ("specimen", "directions", "core-ms each", "ms each"),
+        rows,
+    )
+
+
+def _integrals(kind: str, theta_i: Any = ANGLES) -> None:
+    specimen = {"type": kind, "alpha": 0.2}
+    measure(specimen, theta_i, estimator="quadrature", collector=PATCHES)
+
+
+def _alone(kind: str) -> None:
+    for theta_i in ANGLES:
+        _integrals(kind, theta_i)
+
+
+def print_growth(most: int) -> None:
+    """Print peak memory and time per ray from 1e7 rays to `most`, by factors of ten."""
+    rows = []
+    white = {"type": "diffuse", "reflectance": 1.0}
+    for sampler in ("sobol", "independent"):
+        send = partial(measure, white, THETA_I, collector=PATCHES, sampler=sampler)
+        send(rays=10**6)
+        rays = 10**7
+        while rays <= most:
+            start = cpu_seconds()
+            send(rays=rays)
+            each = f"{1e9 * (cpu_seconds() - start) / rays:.2f}"
+            rows.append((sampler, f"{rays:.0e}", each, f"{peak_memory() / 2**20:.1f}"))
+            rays *= 10
+    print_table(
+        "Growth: diffuse, 900 patches; the peak is that of the process so far",
+        ("sampler", "rays", "core-ns per ray", "peak MiB"),
+        rows,
+    )

@@ -13,8 +13,6 @@ from gonio_mi.validation.examination import validate
 from gonio_mi.validation.verdict import Verdict
 from gonio_mi.validation.versions.stock import cases
 
-__all__ = ["coloured", "main"]
-
 
 def coloured() -> Iterator[tuple[str, dict[str, Any]]]:
     """Cases that need a variant of rgb, which must be set.

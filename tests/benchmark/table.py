@@ -2,8 +2,6 @@
 
 from collections.abc import Iterable, Sequence
 
-__all__ = ["print_table"]
-
 
 def print_table(
     title: str, header: Sequence[str], rows: Sequence[Sequence[str]]

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
-__all__ = ["Times", "cpu_seconds", "in_turns", "peak_memory", "speeds"]
-
 
 def cpu_seconds() -> float:
     """CPU seconds spent so far by all threads and by finished child processes."""

@@ -26,8 +26,6 @@ from gonio_mi.results.record import Record
 from .table import print_table
 from .timing import cpu_seconds
 
-__all__ = ["print_campaigns"]
-
 # Random directions that no campaign has seen.
 N_UNSEEN, SEED = 200, 12345
 

@@ -16,8 +16,6 @@ from .renderers import path_samples
 from .table import print_table
 from .timing import in_turns, speeds
 
-__all__ = ["layer", "layer_contests", "print_layer_speeds"]
-
 # That of van de Hulst's table, on which MCML was tried: optical thickness, albedo and
 # anisotropy.
 TAU, ALBEDO, G = 2.0, 0.9, 0.75

@@ -26,8 +26,6 @@ from gonio_mi.exchange.formats import radiance
 
 from .table import print_table
 
-__all__ = ["compared", "main"]
-
 REFLECTANCE = 0.6
 
 # Cells to either side of the one that genBSDF looks at.

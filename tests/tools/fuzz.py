@@ -208,85 +208,32 @@ SCENE = """<scene version="3.0.0">
 
 SPECIMENS = [
     *("diffuse", "roughconductor:alpha=0.2", "diffuse:reflectance=0.2/0.5/0.1", ""),
-    *(
-        "scene.xml",
-        "absent.xml",
-        "a.npz",
-        "nothing",
-        "diffuse:",
-        "diffuse:a",
-        "x" * 5000,
-    ),
-    *("diffuse:reflectance=nan", "roughplastic:alpha=-1", "diffuse:reflectance=1e300"),
-    *("goniometric:filename=c.npz", "goniometric:filename=absent.npz", "dielectric"),
-    *("measured:filename=a.npz", "heightfield:alpha=0.3", "twosided", "\x1b[31m", "."),
+    *("scene.xml", "absent.xml", "a.npz", "nothing", "diffuse:", "diffuse:a"),
+    *("x" * 5000, "diffuse:reflectance=nan", "roughplastic:alpha=-1"),
+    *("diffuse:reflectance=1e300", "goniometric:filename=c.npz"),
+    *("goniometric:filename=absent.npz", "dielectric", "measured:filename=a.npz"),
+    *("heightfield:alpha=0.3", "twosided", "\x1b[31m", "."),
 ]
 NUMBERS = [
-    *(
-        "1",
-        "0.1",
-        "45",
-        "0",
-        "-1",
-        "90",
-        "89.99",
-        "1e300",
-        "nan",
-        "inf",
-        "x",
-        "",
-        "1e2",
-    ),
-    *("9" * 400, "-0", "1e-300", "180", "1000"),
+    *("1", "0.1", "45", "0", "-1", "90", "89.99", "1e300", "nan", "inf", "x"),
+    *("", "1e2", "9" * 400, "-0", "1e-300", "180", "1000"),
 ]
 COLLECTORS = [
-    *(
-        "angle:3x4",
-        "projected:4x6",
-        "solid:2x2",
-        "klems",
-        "angle:0x1",
-        "angle:1x1",
-        "x",
-    ),
-    *(
-        "projected:99999x99999",
-        "apertures:5@10/0,45/90",
-        "apertures:5@0/0,0/0",
-        "angle:",
-    ),
-    *(
-        "borders:0,30,90x0,180,360",
-        "borders:0,nanx0,360",
-        "apertures:nan@0/0",
-        "y" * 999,
-    ),
+    *("angle:3x4", "projected:4x6", "solid:2x2", "klems", "angle:0x1", "angle:1x1"),
+    *("x", "projected:99999x99999", "apertures:5@10/0,45/90"),
+    *("apertures:5@0/0,0/0", "angle:", "borders:0,30,90x0,180,360"),
+    *("borders:0,nanx0,360", "apertures:nan@0/0", "y" * 999),
     "angle:" + "9" * 600 + "x1",
 ]
 FILES = [
-    "a.npz",
-    "b.exr",
-    "c.npz",
-    "absent.npz",
-    "table.csv",
-    "scene.xml",
-    ".",
+    *("a.npz", "b.exr", "c.npz", "absent.npz", "table.csv", "scene.xml", "."),
     "z" * 300,
 ]
 OUTPUTS = ["o.npz", "o.exr", "absent/o.npz", "o.txt", "."]
 PICTURES = ["o.png", "o.svg", "o.txt", "absent/o.png", "."]
 EXPORTS = [
-    "o.zemax.bsdf",
-    "o.brdf",
-    "o.anisotropicbsdf",
-    "o.json",
-    "o.csv",
-    "o.nc",
-    "o.h5",
-    "o.xml",
-    "o.bsdf",
-    "o.x",
-    "absent/o.csv",
+    *("o.zemax.bsdf", "o.brdf", "o.anisotropicbsdf", "o.json", "o.csv", "o.nc"),
+    *("o.h5", "o.xml", "o.bsdf", "o.x", "absent/o.csv"),
 ]
 
 # Values of each option, or None if it takes none.
