@@ -61,7 +61,6 @@ def built(build):
         pytest.skip(str(error))
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("name", WHITE)
 def test_white_lambertian(name):
     """Rays are counted in proportion to the projected solid angles, and all of them.
@@ -80,7 +79,6 @@ def test_white_lambertian(name):
     disagree(count_verdict(counts, wrong))
 
 
-@pytest.mark.usefixtures("mono")
 def test_seeds_are_other_rays():
     """Two seeds of one method do not count the same."""
     for build in (chi2_rays, numpy_rays, numba_rays, c_rays):
@@ -89,7 +87,6 @@ def test_seeds_are_other_rays():
         assert (baseline.flux(10**4, 1) != baseline.flux(10**4, 2)).any()
 
 
-@pytest.mark.usefixtures("mono")
 def test_rough_conductor_histogram():
     """Mitsuba's histogram has the density of ``sample``; twin: of another roughness."""
     specimen = SPECIMENS["rough conductor"]
@@ -105,7 +102,6 @@ def test_rough_conductor_histogram():
     disagree(count_verdict(counts, shares(specimen | {"alpha": 0.21})))
 
 
-@pytest.mark.usefixtures("mono")
 def test_what_is_compared():
     """Both specimens have our samplers and estimators, and what can run here."""
     found, absent = baselines()
@@ -201,7 +197,6 @@ def test_groove_without_absorption(monkeypatch, theta_deg):
     assert lost[1] < lost[0] / 2**1.5
 
 
-@pytest.mark.usefixtures("mono")
 def test_instrument_measures_the_groove():
     """The traced V-groove has the BRDF of its radiosity; twin: 2 % more."""
     scene = mi.load_dict({"type": "scene", **groove.walls()}, optimize=False)
@@ -212,7 +207,6 @@ def test_instrument_measures_the_groove():
     disagree(verdict(scores(record, 1.02 * groove_flux(COARSE))))
 
 
-@pytest.mark.usefixtures("mono")
 def test_path_towards_directions():
     """A ray is exact for its direction; more of them in a patch are better."""
     white = renderers.path_directions(SPECIMENS["diffuse"]).flux(1, 0)
@@ -226,7 +220,6 @@ def test_path_towards_directions():
     assert error(baseline, exact, 2) < error(baseline, exact, 1) / 2**1.5
 
 
-@pytest.mark.usefixtures("mono")
 def test_path_samples_of_the_groove():
     """Means of seeds agree with the radiosity at the same points; twin: 2 % more."""
     baseline = renderers.path_samples(groove.walls)
@@ -245,7 +238,6 @@ def test_path_samples_of_the_groove():
     disagree(compared(1.02 * exact))
 
 
-@pytest.mark.usefixtures("mono")
 def test_path_samples_of_facets():
     """Copies of a cell about one of them are as good as a period; twin: 4 % more."""
     shapes = {"facets": diffuse_facets.facets(diffuse_facets.COPIES)}
@@ -274,7 +266,6 @@ def test_path_samples_of_facets():
     disagree(compared(1.04))
 
 
-@pytest.mark.usefixtures("mono")
 def test_path_samples_of_a_layer():
     """Mitsuba's volpath agrees with discrete ordinates; twin: as lit from the left."""
     (((_, exact), *_, (baseline, _), _),) = turbid_layer.layer_contests()[0].values()
@@ -294,7 +285,6 @@ def test_path_samples_of_a_layer():
     disagree(compared(np.roll(exact, 15, axis=1)))
 
 
-@pytest.mark.usefixtures("mono")
 def test_radiance_of_facets():
     """More samples come nearer to our reflectance; twin: not to that of a plate."""
     baseline = built(diffuse_facets.facets_of_radiance)
@@ -391,7 +381,6 @@ def test_crossing():
         crossing(np.ones(2), lambda n: np.full(2, 1 / n))
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.filterwarnings("ignore:the file describes light from")
 def test_commands_are_timed_as_they_are_run(monkeypatch, capsys):
     monkeypatch.setattr(commands, "IMPORTS", ())

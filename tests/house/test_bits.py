@@ -5,12 +5,10 @@ import subprocess
 import sys
 
 import bits
-import pytest
 
 SHARE = 20
 
 
-@pytest.mark.usefixtures("mono")
 def test_another_process_gives_the_same_bits(tmp_path):
     """Exact, whatever was measured before; and the script tells what has changed."""
     here = bits.bits(SHARE)

@@ -67,7 +67,6 @@ def executor(request):
         yield 2
 
 
-@pytest.mark.usefixtures("mono")
 def test_same_bits_wherever(executor, reference, monkeypatch):
     """One direction a task, so that they end in another order than they began."""
     module = importlib.import_module("gonio_mi.campaigns.tasks")
@@ -78,7 +77,6 @@ def test_same_bits_wherever(executor, reference, monkeypatch):
     assert records["metal"].brdf.shape == (6, 6, 6, 1)
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_cluster_of_two_workers(reference):
     distributed = pytest.importorskip("distributed")
     with (
@@ -93,7 +91,6 @@ def test_a_cluster_of_two_workers(reference):
     assert same(records, reference)
 
 
-@pytest.mark.usefixtures("mono")
 def test_measure_takes_an_executor_and_a_folder(reference, tmp_path):
     settings = {**ANGLES, **SETTINGS, "folder": tmp_path}
     with ThreadPoolExecutor(2) as pool:
@@ -106,7 +103,6 @@ def test_measure_takes_an_executor_and_a_folder(reference, tmp_path):
     assert single.tallies == reference["metal"][4].tallies
 
 
-@pytest.mark.usefixtures("mono")
 def test_what_is_finished_is_not_measured_again(reference, tmp_path, monkeypatch):
     module = importlib.import_module("gonio_mi.campaigns.tasks")
     monkeypatch.setattr(module, "TASK_RAYS", 1)
@@ -155,7 +151,6 @@ def interrupted():
     return Interrupted
 
 
-@pytest.mark.usefixtures("mono")
 def test_ctrl_c_keeps_whole_directions_only(interrupted, tmp_path, monkeypatch):
     module = importlib.import_module("gonio_mi.campaigns.tasks")
     monkeypatch.setattr(module, "TASK_RAYS", 1)
@@ -174,7 +169,6 @@ def test_ctrl_c_keeps_whole_directions_only(interrupted, tmp_path, monkeypatch):
     assert record.tallies == gonio.measure(SPECIMENS["matt"], **settings).tallies
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_relative_path_is_found_from_elsewhere(tmp_path, monkeypatch):
     scene = '<scene version="3.0.0"><shape type="rectangle"/></scene>'
     (tmp_path / "plate.xml").write_text(scene)
@@ -191,7 +185,6 @@ def test_a_relative_path_is_found_from_elsewhere(tmp_path, monkeypatch):
     assert record.settings["specimen"] == "plate.xml"
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("where", [{}, {"folder": "missing/parent"}])
 def test_a_specimen_that_is_no_file(where, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -200,7 +193,6 @@ def test_a_specimen_that_is_no_file(where, tmp_path, monkeypatch):
         gonio.campaign({"b": "diffuse"}, **ANGLES, **SETTINGS, **where)
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_folder_of_something_else(tmp_path):
     gonio.campaign(SPECIMENS, 0, **SETTINGS, folder=tmp_path / "a")
     for change in ({"rays": 5001}, {"seed": 1}, {"theta_i": 1}):
@@ -214,7 +206,6 @@ def test_a_folder_of_something_else(tmp_path):
         gonio.campaign(SPECIMENS, 0, **SETTINGS, folder=tmp_path)
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
@@ -231,7 +222,6 @@ def test_bad_arguments(arguments, reason):
         gonio.campaign(**arguments)
 
 
-@pytest.mark.usefixtures("mono")
 def test_what_cannot_be_sent():
     bsdf = mi.load_dict({"type": "diffuse"})
     with pytest.raises(ValueError, match="white must be plain values or a path"):
@@ -246,7 +236,6 @@ def deadly(tmp_path):
     return specimen, {"plugins": [plugin], "executor": 1}
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_worker_that_dies_is_replaced(deadly, reference):
     specimen, settings = deadly
     with pytest.warns(RuntimeWarning, match="a worker died; 6 tasks are sent again"):
@@ -254,7 +243,6 @@ def test_a_worker_that_dies_is_replaced(deadly, reference):
     assert records["matt"].tallies == reference["matt"].tallies
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.filterwarnings("ignore:a worker died")
 def test_workers_that_keep_dying(deadly):
     specimen, settings = deadly
@@ -270,7 +258,6 @@ def command(folder, output):
     return ["measure", "diffuse", *angles, *settings, "--folder", folder, "-o", output]
 
 
-@pytest.mark.usefixtures("mono")
 def test_killed_at_random_moments(tmp_path):
     """SIGKILL, and the same command again: no finished file changes, the same bits."""
     folder, output = str(tmp_path / "folder"), str(tmp_path / "out.npz")
@@ -311,7 +298,6 @@ def test_a_campaign_of_a_given_precision_is_the_stack():
     assert own == others
 
 
-@pytest.mark.usefixtures("mono")
 def test_tensors_of_a_specimen_stay():
     """A texture's are still there when it is loaded again, and when it was refused."""
     pixels = mi.TensorXf([[0.2, 0.4], [0.6, 0.8]]).array

@@ -14,8 +14,6 @@ import pytest
 import gonio_mi as gonio
 from gonio_mi.cli import main
 
-pytestmark = pytest.mark.usefixtures("mono")
-
 PLATE = {"plate": {"type": "diffuse"}}
 SETTINGS = {"rays": 200, "batches": 2, "collector": "projected:2x2"}
 

@@ -136,7 +136,6 @@ def test_ctrl_c(started, tmp_path):
     assert ends(started.pid)
 
 
-@pytest.mark.usefixtures("mono")
 def test_errors_of_workers_are_one_sentence(tmp_path, capsys):
     plugin = tmp_path / "plugin.py"
     plugin.write_text(PLUGIN)

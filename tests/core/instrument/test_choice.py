@@ -14,8 +14,6 @@ from gonio_mi.instrument import choice
 from gonio_mi.results.summary import summarize
 from gonio_mi.results.summary_text import summary_text
 
-pytestmark = pytest.mark.usefixtures("mono")
-
 DIFFUSE = {"type": "diffuse", "reflectance": 0.8}
 GLOSSY = {"type": "roughconductor", "alpha": 0.1, "distribution": "ggx"}
 SMALL = {"collector": "projected:8x12", "estimator": "auto"}

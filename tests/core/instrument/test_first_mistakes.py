@@ -47,7 +47,6 @@ def warned(specimen, *args, **settings):
         ),
     ],
 )
-@pytest.mark.usefixtures("mono")
 def test_a_roughness_out_of_range_is_told(bsdf, told):
     """Mitsuba loads it without a word; the message names plugin, parameter, value."""
     [found] = warned(bsdf, 30)
@@ -68,7 +67,6 @@ def test_a_roughness_out_of_range_is_told(bsdf, told):
         },
     ],
 )
-@pytest.mark.usefixtures("mono")
 def test_twin_a_roughness_in_range_is_not(bsdf):
     if isinstance(bsdf.get("alpha"), dict):
         texture = bsdf["alpha"] | {"data": mi.TensorXf(bsdf["alpha"]["data"])}
@@ -79,7 +77,6 @@ def test_twin_a_roughness_in_range_is_not(bsdf):
 # ------------------------------------------------------------------------- lost light
 
 
-@pytest.mark.usefixtures("mono")
 def test_light_that_misses_is_told_once():
     """Of a stack too, at the line of the user, in a category of its own."""
     found = warned(BALL, [0, 10])
@@ -89,7 +86,6 @@ def test_light_that_misses_is_told_once():
     assert "rays missed the specimen" in text
 
 
-@pytest.mark.usefixtures("mono")
 def test_twin_light_that_is_all_collected():
     assert warned({"type": "diffuse"}, 30) == []
     with warnings.catch_warnings():
@@ -124,13 +120,11 @@ def test_quiet_hides_no_warning(tmp_path, capsys):
         ("emiter", "emitter"),
     ],
 )
-@pytest.mark.usefixtures("mono")
 def test_the_argument_that_was_meant(word, meant):
     with pytest.raises(TypeError, match=rf"did you mean {meant}\?"):
         gonio.measure({"type": "diffuse"}, **{word: 5})
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_bsdf_in_one_word_is_told_as_a_dictionary():
     with pytest.raises(gonio.SpecimenError) as told:
         gonio.measure("diffuse:reflectance=0.5", 0)
@@ -141,7 +135,6 @@ def test_a_bsdf_in_one_word_is_told_as_a_dictionary():
 
 
 @pytest.mark.needs("validation")
-@pytest.mark.usefixtures("mono")
 def test_a_refractive_index_may_be_an_integer():
     """Exact: the same light as of a float, and so nested, and in scripts."""
     from gonio_mi.validation.reproducers import source_of
@@ -171,7 +164,6 @@ def test_version():
 # -------------------------------------------------------------------------- intervals
 
 
-@pytest.mark.usefixtures("mono")
 def test_no_limit_of_a_few_hits_is_negative():
     """Of a total of one hit Student's t alone would reach far below 0."""
     leaky = {"type": "mask", "opacity": 0.9995, "bsdf": {"type": "diffuse"}}
@@ -187,7 +179,6 @@ def test_no_limit_of_a_few_hits_is_negative():
     assert single
 
 
-@pytest.mark.usefixtures("mono")
 def test_what_only_the_instrument_says_is_no_setting():
     with pytest.raises(TypeError, match="measure has no setting 'whole'"):
         gonio.measure({"type": "diffuse"}, 30, whole=True)

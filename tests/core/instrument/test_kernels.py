@@ -8,6 +8,7 @@ from threading import Thread
 
 import drjit as dr
 import mitsuba as mi
+import plain_bsdf
 import pytest
 
 import gonio_mi as gonio
@@ -37,7 +38,7 @@ def several_threads():
     dr.set_thread_count(before)
 
 
-def test_threads_share_the_instrument(mono):  # noqa: ARG001
+def test_threads_share_the_instrument():
     """Exact: 80 measurements in four threads have the bits of one after the other."""
     ways = [SMALL | {"seed": seed, "trace": seed == 4} for seed in range(5)]
     alone = [gonio.measure(PLATE, 30, **way).tallies for way in ways]
@@ -47,17 +48,15 @@ def test_threads_share_the_instrument(mono):  # noqa: ARG001
     assert all(tallies == alone[i] for i, tallies in zip(todo, found))
 
 
-def test_threads_validate_and_render_too(mono):  # noqa: ARG001
+def test_threads_validate_and_render_too():
     """Exact: what else launches kernels takes its turn."""
-    scene = mi.load_dict(
-        {
-            "type": "scene",
-            "plate": {"type": "rectangle", "bsdf": PLATE},
-            "emitter": {"type": "directional", "direction": [0, 0, -1]},
-            "sensor": {"type": "collector", "film": {"type": "patches"}},
-            "integrator": {"type": "goniophotometer", "rays": 2000},
-        }
-    )
+    parts = {
+        "plate": {"type": "rectangle", "bsdf": PLATE},
+        "emitter": {"type": "directional", "direction": [0, 0, -1]},
+        "sensor": {"type": "collector", "film": {"type": "patches"}},
+        "integrator": {"type": "goniophotometer", "rays": 2000},
+    }
+    scene = mi.load_dict({"type": "scene", **parts})
 
     def rendered(_):
         return mi.render(scene).numpy().tobytes()
@@ -72,7 +71,7 @@ def test_threads_validate_and_render_too(mono):  # noqa: ARG001
         assert set(sums) == {measured(0)}
 
 
-def test_threads_of_a_campaign_do_not_wait_for_each_other(mono):  # noqa: ARG001
+def test_threads_of_a_campaign_do_not_wait_for_each_other():
     """A pool of threads measures while the thread that asked it waits."""
     with ThreadPoolExecutor(2) as pool:
         stack = gonio.measure(PLATE, [10, 20, 30], executor=pool, **SMALL)
@@ -132,7 +131,7 @@ def task_of_plate():
     return task
 
 
-def test_nobody_records_while_a_task_is_at_work(mono, monkeypatch):  # noqa: ARG001
+def test_nobody_records_while_a_task_is_at_work(monkeypatch):
     """Also while its specimen is looked at: rays of others were lost."""
     seen = []
     measure, specimen = tasks.measure_each, tasks.Specimen
@@ -158,7 +157,7 @@ def test_nobody_records_while_a_task_is_at_work(mono, monkeypatch):  # noqa: ARG
     [lambda: measure_whole(PLATE, 30, **SMALL), lambda: task_of_plate().run()],
     ids=["whole", "task"],
 )
-def test_warnings_of_other_threads_are_heard(measure, mono, monkeypatch):  # noqa: ARG001
+def test_warnings_of_other_threads_are_heard(measure, monkeypatch):
     """Those that a measurement does not give are not switched off for the process."""
     send = launcher.launch
 
@@ -174,7 +173,7 @@ def test_warnings_of_other_threads_are_heard(measure, mono, monkeypatch):  # noq
         measure()
 
 
-def test_a_change_of_variant_waits_for_the_measurement(mono, monkeypatch):  # noqa: ARG001
+def test_a_change_of_variant_waits_for_the_measurement(monkeypatch):
     """Of another thread; which sets it in the end, and this one's is no longer set."""
     send, threads = launcher.launch, []
 
@@ -197,7 +196,7 @@ def test_a_change_of_variant_waits_for_the_measurement(mono, monkeypatch):  # no
     assert gonio.measure(PLATE, 30, **SMALL).settings["variant"] == "llvm_ad_rgb"
 
 
-def test_a_change_of_variant_that_does_not_wait_is_noticed(mono, monkeypatch):  # noqa: ARG001
+def test_a_change_of_variant_that_does_not_wait_is_noticed(monkeypatch):
     """By a function that was imported before gonio_mi."""
     send = launcher.launch
     set_variant = mi.set_variant.__wrapped__
@@ -212,7 +211,7 @@ def test_a_change_of_variant_that_does_not_wait_is_noticed(mono, monkeypatch):  
         gonio.measure(PLATE, 30, **SMALL)
 
 
-def test_a_thread_may_set_variants_by_either_function(mono):  # noqa: ARG001
+def test_a_thread_may_set_variants_by_either_function():
     """Both are this thread's; another thread's is refused, however it is set."""
     bare = mi.set_variant.__wrapped__
     bare("llvm_ad_rgb")
@@ -225,7 +224,7 @@ def test_a_thread_may_set_variants_by_either_function(mono):  # noqa: ARG001
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
-def test_an_error_comes_out_after_a_change_of_variant(mono, error):  # noqa: ARG001
+def test_an_error_comes_out_after_a_change_of_variant(error):
     @launches_kernels()
     def changes(name, *errors):
         mi.set_variant(name)
@@ -239,7 +238,7 @@ def test_an_error_comes_out_after_a_change_of_variant(mono, error):  # noqa: ARG
         changes("llvm_ad_mono")
 
 
-def test_threads_of_other_variants_get_their_own_numbers_or_none(mono):  # noqa: ARG001
+def test_threads_of_other_variants_get_their_own_numbers_or_none():
     """Of 48 jobs in four threads; once a third got another's numbers, or crashed."""
     names = "llvm_ad_mono", "llvm_ad_rgb"
 
@@ -262,7 +261,7 @@ def test_lost_rays_are_an_error():
         check_all_counted(10, 9)
 
 
-def test_every_launch_is_checked(mono, monkeypatch):  # noqa: ARG001
+def test_every_launch_is_checked(monkeypatch):
     """A kernel that loses one ray in two never becomes a record."""
     scatter = dr.scatter_reduce
 
@@ -277,26 +276,14 @@ def test_every_launch_is_checked(mono, monkeypatch):  # noqa: ARG001
 # --------------------------------------------------------------------------- flags
 
 # Flags that leave the numbers as they are, and whether they are on by default.
-HARMLESS = (
-    "CompressLoops",
-    "ConstantPropagation",
-    "Debug",
-    "KernelFreezing",
-    "KernelHistory",
-    "LaunchBlocking",
-    "OptimizeCalls",
-    "OptimizeLoops",
-    "PacketOps",
-    "ReuseIndices",
-    "ScatterReduceLocal",
-    "SymbolicCalls",
-    "SymbolicConditionals",
-    "SymbolicLoops",
-    "ValueNumbering",
-)
+HARMLESS = """
+    CompressLoops ConstantPropagation Debug KernelFreezing KernelHistory LaunchBlocking
+    OptimizeCalls OptimizeLoops PacketOps ReuseIndices ScatterReduceLocal SymbolicCalls
+    SymbolicConditionals SymbolicLoops ValueNumbering
+"""
 
 
-@pytest.mark.parametrize("name", HARMLESS)
+@pytest.mark.parametrize("name", HARMLESS.split())
 @pytest.mark.parametrize("trace", [False, True])
 def test_flags_do_not_change_the_bits(name, trace, rgb):  # noqa: ARG001
     """Exact: each flag of Dr.Jit the other way round, with several threads' sums."""
@@ -319,7 +306,7 @@ def test_flags_do_not_change_the_bits(name, trace, rgb):  # noqa: ARG001
     "name",
     ["MergeFunctions", "ForbidSynchronization", "FreezingScope", "SymbolicScope"],
 )
-def test_flags_that_break_dr_jit_are_refused(name, mono):  # noqa: ARG001
+def test_flags_that_break_dr_jit_are_refused(name):
     flag = getattr(dr.JitFlag, name)
     usual = dr.flag(flag)
     sentence = f"flag {name} must be {'on' if usual else 'off'}"
@@ -343,57 +330,37 @@ def registered(name, mistake):
     """
     calls = []
 
-    class Plugin(mi.BSDF):
-        def __init__(self, props):
-            super().__init__(props)
-            flags = mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide
-            self.m_components = [flags]
-            self.m_flags = flags
+    def called(function):
+        calls.append(function)
+        if mistake == function and calls.count(function) > 1:
+            raise ArithmeticError(f"a mistake in {function}")
 
-        def sample(self, ctx, si, sample1, sample2, active):  # noqa: ARG002
-            calls.append("sample")
-            if mistake == "sample" and calls.count("sample") > 1:
-                raise ArithmeticError("a mistake in sample")
-            bs = dr.zeros(mi.BSDFSample3f)
-            bs.wo = mi.warp.square_to_cosine_hemisphere(sample2)
-            bs.pdf, bs.eta = mi.warp.square_to_cosine_hemisphere_pdf(bs.wo), 1.0
-            bs.sampled_type = mi.UInt32(+mi.BSDFFlags.DiffuseReflection)
-            return bs, mi.Spectrum(0.7)
+    class Plugin(plain_bsdf.plain()):
+        reflectance = 0.7
 
-        def eval(self, ctx, si, wo, active):  # noqa: ARG002
-            calls.append("eval")
-            if mistake == "eval" and calls.count("eval") > 1:
-                raise ArithmeticError("a mistake in eval")
-            return mi.Spectrum(0.7 * dr.inv_pi) * dr.maximum(wo.z, 0)
+        def sample(self, *arguments):
+            called("sample")
+            return super().sample(*arguments)
 
-        def pdf(self, ctx, si, wo, active):  # noqa: ARG002
-            return mi.warp.square_to_cosine_hemisphere_pdf(wo)
-
-        def eval_pdf(self, ctx, si, wo, active):
-            return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
-
-        def to_string(self):
-            return "Plugin[]"
+        def eval(self, *arguments):
+            called("eval")
+            return super().eval(*arguments)
 
     mi.register_bsdf(name, Plugin)
 
 
-def test_what_was_refused_takes_part_in_no_kernel(mono):  # noqa: ARG001
+def test_what_was_refused_takes_part_in_no_kernel():
     """A BSDF without `sample`, though its error is kept and no garbage collected."""
 
-    class Lacking(mi.BSDF):
-        def __init__(self, props):
-            super().__init__(props)
+    class Lacking(plain_bsdf.plain()):
+        sample = mi.BSDF.sample
+
+        def load(self, _):
             checks = {"type": "diffuse", "reflectance": {"type": "checkerboard"}}
             self.nested = mi.load_dict(checks)
-            self.m_components = [mi.BSDFFlags.DiffuseReflection]
-            self.m_flags = mi.BSDFFlags.DiffuseReflection
 
-        def eval(self, ctx, si, wo, active):
-            return self.nested.eval(ctx, si, wo, active)
-
-        def to_string(self):
-            return "Lacking[]"
+        def eval(self, *arguments):
+            return self.nested.eval(*arguments)
 
     mi.register_bsdf("lacking_sample", Lacking)
     gc.disable()
@@ -415,7 +382,7 @@ def test_what_was_refused_takes_part_in_no_kernel(mono):  # noqa: ARG001
         ("eval", {"trace": True, "estimator": "next_event"}),
     ],
 )
-def test_plugin_that_raises(function, way, mono):  # noqa: ARG001
+def test_plugin_that_raises(function, way):
     """Its own error comes out, and goes away with its cause, though it is kept.
 
     As in Jupyter, which keeps the last error, and with it all that its traceback holds.
@@ -433,7 +400,7 @@ def test_plugin_that_raises(function, way, mono):  # noqa: ARG001
 
 
 @pytest.mark.parametrize("n", [1, 2])
-def test_errors_that_cause_themselves_come_out(n, mono):  # noqa: ARG001
+def test_errors_that_cause_themselves_come_out(n):
     """As in ``raise error from error``, and in a circle of `n`."""
     errors = [ArithmeticError(f"error {i}") for i in range(n)]
     for i, error in enumerate(errors):
@@ -459,7 +426,7 @@ def named_alike(_):
 
 
 @pytest.mark.parametrize("constructor", [built, nested])
-def test_ctrl_c_while_a_plugin_is_built(constructor, mono, capsys):  # noqa: ARG001
+def test_ctrl_c_while_a_plugin_is_built(constructor, capsys):
     """Of which Mitsuba keeps the text alone; the command said it was a bug of ours."""
     mi.register_bsdf("pressed_built", built)
     mi.register_bsdf("pressed", constructor)
@@ -469,13 +436,13 @@ def test_ctrl_c_while_a_plugin_is_built(constructor, mono, capsys):  # noqa: ARG
     assert "interrupted: nothing was finished" in capsys.readouterr().err
 
 
-def test_ctrl_c_while_a_plugin_of_ours_is_built(mono, monkeypatch, capsys):  # noqa: ARG001
+def test_ctrl_c_while_a_plugin_of_ours_is_built(monkeypatch, capsys):
     monkeypatch.setattr("gonio_mi.plugins.shapes.heightfield._topography", built)
     assert main(["measure", "heightfield", "--theta-i", "30"]) == INCOMPLETE
     assert "interrupted: nothing was finished" in capsys.readouterr().err
 
 
-def test_twin_only_the_name_of_ctrl_c(mono):  # noqa: ARG001
+def test_twin_only_the_name_of_ctrl_c():
     mi.register_bsdf("named_alike", named_alike)
     with pytest.raises(SpecimenError, match='"named_alike": RuntimeError: KeyboardI'):
         gonio.measure({"type": "named_alike"}, 30, **SMALL)

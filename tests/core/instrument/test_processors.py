@@ -14,8 +14,6 @@ from gonio_mi.results.summary import summarize
 from gonio_mi.results.summary_text import summary_text
 from gonio_mi.transport import variants
 
-pytestmark = pytest.mark.usefixtures("mono")
-
 OTHER = ("a-processor", 4)
 
 

@@ -96,7 +96,6 @@ def test_many_rays_are_announced_once(clock):
     assert told == [1000] * 4
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_measurement_announces_its_rays(monkeypatch):
     """If their number is fixed; twin: not if a precision is."""
     monkeypatch.setattr(progress, "MIN_ANNOUNCED", 0.0)

@@ -17,8 +17,6 @@ from gonio_mi.campaigns.measure import measure_whole
 from gonio_mi.instrument import launcher, recording
 from gonio_mi.instrument.schedule import rounds
 
-pytestmark = pytest.mark.usefixtures("mono")
-
 PLASTIC = {"type": "roughplastic", "alpha": 0.2}
 LONG = {"theta_i": 40, "rays": 40_003, "batches": 4, "collector": "projected:6x8"}
 

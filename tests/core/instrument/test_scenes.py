@@ -45,7 +45,6 @@ def is_the_record(image, record):
         np.testing.assert_array_equal(image[30:][::-1], record.btdf.astype(np.float32))
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("name", NAMES)
 def test_render_and_measure_are_the_same(name):
     """Exact: same scene, same seed, same bits."""
@@ -57,7 +56,6 @@ def test_render_and_measure_are_the_same(name):
     assert other.tallies != record.tallies
 
 
-@pytest.mark.usefixtures("mono")
 def test_lambertian():
     _, record = render("lambertian")
     share = record.subdivision.projected_solid_angles
@@ -65,7 +63,6 @@ def test_lambertian():
     disagree(count_verdict(record.counts[0], share * record.subdivision.theta[:, None]))
 
 
-@pytest.mark.usefixtures("mono")
 def test_glass_slab():
     _, record = render("glass_slab")
     n = record.ledger.emitted
@@ -76,7 +73,6 @@ def test_glass_slab():
     disagree(single((record.ledger.reflected - n * single_surface) / spread))
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("theta_i", [0, 20])
 def test_v_grooves(theta_i):
     """Grooves of 90 degrees are retro-reflectors across and mirrors along.
@@ -107,7 +103,6 @@ def test_v_grooves(theta_i):
     disagree(single((n - at_back - n * once * 1.05) / spread))
 
 
-@pytest.mark.usefixtures("mono")
 def test_anisotropic_lobe_follows_phi_i():
     """Half a turn of the specimen about z changes nothing, a quarter turn does."""
     from budget import difference_scores
@@ -142,7 +137,6 @@ def test_anisotropic_lobe_follows_phi_i():
     disagree(verdict(difference_scores(first, turned(at(90, 3), 5))))
 
 
-@pytest.mark.usefixtures("mono")
 def test_area_emitter_far_away_is_collimated():
     """Convergence: the maps come nearer as the emitter's angular size falls."""
     collimated = gonio.measure(

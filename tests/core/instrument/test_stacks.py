@@ -4,6 +4,7 @@ from itertools import pairwise
 
 import mitsuba as mi
 import numpy as np
+import plain_bsdf
 import pytest
 
 import gonio_mi as gonio
@@ -12,8 +13,6 @@ from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.instrument.setup import set_up
 from gonio_mi.results.tally import batch_sizes
 from gonio_mi.settings import MeasurementSettings
-
-pytestmark = pytest.mark.usefixtures("mono")
 
 GLASS = {"type": "roughdielectric", "alpha": 0.3}
 MIRROR = {"type": "twosided", "bsdf": {"type": "roughconductor", "alpha": 0.2}}
@@ -115,29 +114,11 @@ def test_few_directions_and_plugins_in_python_go_one_by_one(launches, monkeypatc
     gonio.measure(GLASS, [0, 40], **SMALL)
     assert launches == [4] * 2
 
-    class FirstRay(mi.BSDF):
-        def __init__(self, props):
-            mi.BSDF.__init__(self, props)
-            self.m_components = [mi.BSDFFlags.DiffuseReflection]
-            self.m_flags = self.m_components[0]
-
-        def sample(self, _, si, __, sample2, ___):
-            bs = mi.BSDFSample3f()
-            bs.wo = mi.warp.square_to_cosine_hemisphere(sample2)
-            bs.pdf = mi.warp.square_to_cosine_hemisphere_pdf(bs.wo)
-            bs.eta, bs.sampled_type = 1.0, mi.UInt32(+self.m_flags)
-            return bs, mi.Spectrum(float(si.wi.z.numpy()[0]))
-
-        def eval(self, _, si, wo, __):
+    class FirstRay(plain_bsdf.plain()):
+        def value(self, _, si, wo):
             return mi.Spectrum(float(si.wi.z.numpy()[0]) * wo.z / np.pi)
 
-        def pdf(self, _, __, wo, ___):
-            return mi.warp.square_to_cosine_hemisphere_pdf(wo)
-
-        def to_string(self):
-            return "FirstRay[]"
-
-    mi.register_bsdf("first_ray", FirstRay)
+    plain_bsdf.register([FirstRay])
     del launches[:]
     polar = list(range(0, 80, 8))
     stack = gonio.measure({"type": "first_ray"}, polar, **SMALL)

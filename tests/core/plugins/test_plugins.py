@@ -13,8 +13,6 @@ import pytest
 
 import gonio_mi as gonio
 
-pytestmark = pytest.mark.usefixtures("mono")
-
 
 def scene():
     return {
@@ -43,47 +41,32 @@ def test_change_of_variant_there_and_back():
 
 @pytest.mark.parametrize("order", ["before", "after"])
 def test_import_before_or_after_set_variant(order):
-    lines = ["import gonio_mi", "import mitsuba as mi"]
-    if order == "after":
-        lines.reverse()
-        lines.insert(1, "mi.set_variant('llvm_ad_mono')")
-    else:
-        lines.append("mi.set_variant('llvm_ad_mono')")
+    lines = ["import mitsuba as mi", "mi.set_variant('llvm_ad_mono')"]
+    lines.insert(0 if order == "before" else 2, "import gonio_mi")
     lines.append("print(mi.load_dict({'type': 'patches'}).subdivision)")
-    done = subprocess.run(
-        [sys.executable, "-c", "\n".join(lines)],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert done.stdout.strip() == "projected:30x30"
+    assert said(lines) == "projected:30x30"
+
+
+def said(lines):
+    """What a process prints that runs some lines."""
+    command = [sys.executable, "-c", "\n".join(lines)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    return done.stdout.strip()
 
 
 @pytest.mark.parametrize("name", ["scalar_rgb", "scalar_mono"])
 def test_other_variants_are_refused_in_a_sentence(name):
     if name not in mi.variants():
         pytest.skip("not in this build")
-    before = mi.variant()
-    try:
-        mi.set_variant(name)
-        with pytest.raises(
-            (gonio.VariantError, gonio.SpecimenError), match="llvm or cuda"
-        ):
-            gonio.measure({"type": "diffuse"}, 30, rays=10)
-    finally:
-        mi.set_variant(before)
+    mi.set_variant(name)
+    with pytest.raises((gonio.VariantError, gonio.SpecimenError), match="llvm or cuda"):
+        gonio.measure({"type": "diffuse"}, 30, rays=10)
 
 
 def test_no_variant_is_said():
-    code = (
-        "import gonio_mi\n"
-        "try: gonio_mi.measure({'type': 'diffuse'}, 30)\n"
-        "except gonio_mi.VariantError as error: print(error)"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    assert "a Mitsuba variant must be set first" in done.stdout
+    code = "import gonio_mi", "try: gonio_mi.measure({'type': 'diffuse'}, 30)"
+    told = said([*code, "except gonio_mi.VariantError as error: print(error)"])
+    assert "a Mitsuba variant must be set first" in told
 
 
 @pytest.mark.parametrize(
@@ -132,7 +115,6 @@ def test_angles_out_of_range_are_refused(theta_i):
         gonio.measure({"type": "diffuse"}, theta_i)
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize(
     ("plugin", "of"),
     [
@@ -157,11 +139,6 @@ def test_examples_of_manual_pages_load_and_are_the_same(plugin, of):
 @pytest.mark.needs("materials")
 def test_goniometric_asks_for_arrays(tmp_path):
     """In a scalar variant it says so, in one sentence."""
-    variant = mi.variant()
     mi.set_variant("scalar_rgb")
-    try:
-        with pytest.raises(RuntimeError, match="needs a variant that computes with"):
-            mi.load_dict({"type": "goniometric", "filename": str(tmp_path / "a.npz")})
-    finally:
-        if variant is not None:
-            mi.set_variant(variant)
+    with pytest.raises(RuntimeError, match="needs a variant that computes with"):
+        mi.load_dict({"type": "goniometric", "filename": str(tmp_path / "a.npz")})

@@ -106,7 +106,6 @@ def test_coarse_steps_are_warned_of():
 
 
 @pytest.mark.needs("analysis")
-@pytest.mark.usefixtures("mono")
 def test_commands_tell_it_once(tmp_path, capfd):
     """An image of 8 bits in both commands and in Python; the same of 16 in none."""
     settings = ["--range", str(RANGE), "--size", "2", "--period", "box"]

@@ -152,7 +152,6 @@ def test_heights_repeat_and_differ():
     ],
     ids=lambda x: next(iter(x)) if isinstance(x, dict) else "",
 )
-@pytest.mark.usefixtures("mono")
 def test_bad_input_is_one_sentence(settings, message):
     if "heights" in settings:
         settings = settings | {"heights": mi.TensorXf(settings["heights"])}
@@ -161,7 +160,6 @@ def test_bad_input_is_one_sentence(settings, message):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("periodic", [True, False])
 def test_mesh_is_the_grid(periodic):
     """Exact: vertices are the grid's points, and the borders of a period are equal."""
@@ -192,7 +190,6 @@ def test_mesh_is_the_grid(periodic):
     assert np.array_equal(height, expected)
 
 
-@pytest.mark.usefixtures("mono")
 def test_files(tmp_path):
     """Exact: array, .npy and EXR give the same measurement."""
     z = 0.1 * np.random.default_rng(0).standard_normal((8, 8)).astype(np.float32)
@@ -211,7 +208,6 @@ def test_files(tmp_path):
     assert "z.exr" in records[2].settings["surface"]
 
 
-@pytest.mark.usefixtures("mono")
 def test_record_tells_the_statistics():
     record = gonio.measure({"type": "heightfield", "alpha": 0.3}, 0, rays=1000)
     z = gaussian_heights((256, 256), 2 / 256, (0.3, 0.3), 2 / 32)
@@ -220,7 +216,6 @@ def test_record_tells_the_statistics():
     assert "asked alpha_u 0.3" in record.settings["surface"]
 
 
-@pytest.mark.usefixtures("mono")
 def test_smooth_normals_follow_the_surface():
     """Convergence: interpolated normals approach those of a sine at second order."""
     errors = []
@@ -246,7 +241,6 @@ def test_smooth_normals_follow_the_surface():
     assert np.all(orders > 1.5), f"errors {errors}"
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_scene_is_built_once():
     """Its acceleration structure is most of a large surface's memory, and time."""
     field = {"type": "heightfield", "resolution": 16}

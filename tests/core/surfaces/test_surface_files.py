@@ -143,7 +143,6 @@ def measured(**properties):
     return gonio.measure(specimen, 30, rays=10_000).tallies
 
 
-@pytest.mark.usefixtures("mono")
 def test_codes_of_an_image_need_a_scale(png):
     """Exact: with a scale, or the range of all 16 bits, they are those heights."""
     path, codes = png
@@ -159,7 +158,6 @@ def test_codes_of_an_image_need_a_scale(png):
         measured(heights=mi.TensorXf(codes * 1.0), range=1.0)
 
 
-@pytest.mark.usefixtures("mono")
 def test_tiff_is_the_image(png, tmp_path):
     """Exact: the same codes in another format."""
     pytest.importorskip("SurfaceTopography")
@@ -170,7 +168,6 @@ def test_tiff_is_the_image(png, tmp_path):
     assert measured(filename=str(tmp_path / "a.tif"), **settings) == expected
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize(("before", "changes"), [(1, [2]), (2, []), (7, [])])
 def test_an_image_ends_no_thread(png, before, changes, monkeypatch):
     """Nor waits for a lock: it may be read in a thread that the holder waits for.
@@ -301,7 +298,6 @@ def test_a_width_that_nobody_told_is_warned_of():
         assert "taken" not in known.described
 
 
-@pytest.mark.usefixtures("mono")
 def test_cells_need_not_be_square(tmp_path):
     """Exact: the mesh of a file has its extents, its unit and its heights."""
     pytest.importorskip("SurfaceTopography")
@@ -332,7 +328,6 @@ def ramp(tmp_path, request):
 
 
 @pytest.mark.needs("analysis")
-@pytest.mark.usefixtures("mono")
 def test_a_file_is_a_finite_specimen(ramp, capfd):
     """Exact, to the digits: over 100 mm a plane is one; twin: with a period it ends.
 
@@ -354,7 +349,6 @@ def test_a_file_is_a_finite_specimen(ramp, capfd):
 
 
 @pytest.mark.needs("analysis")
-@pytest.mark.usefixtures("mono")
 @pytest.mark.filterwarnings("ignore:the width of ramp.npy:RuntimeWarning")
 def test_a_file_is_a_finite_specimen_when_it_is_measured(tmp_path, capfd):
     """Exact: as the shape that is not joined, and in a cell as the one that is."""
@@ -387,7 +381,6 @@ def test_a_file_is_a_finite_specimen_when_it_is_measured(tmp_path, capfd):
     assert plain.ledger.reflected == 1000 > plain.ledger.over_the_edge > 0
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize(
     "content",
     [
@@ -408,7 +401,6 @@ def test_a_damaged_array_is_a_sentence(tmp_path, content):
 
 
 @pytest.mark.needs("analysis")
-@pytest.mark.usefixtures("mono")
 def test_a_stack_of_arrays_is_no_map(tmp_path, capsys):
     """A third axis may have one element only."""
     path = str(tmp_path / "cube.npy")
@@ -422,7 +414,6 @@ def test_a_stack_of_arrays_is_no_map(tmp_path, capsys):
     assert np.array_equal(topography(given).heights, RAMP)
 
 
-@pytest.mark.usefixtures("mono")
 def test_an_archive_of_arrays_is_no_array(tmp_path):
     np.savez(tmp_path / "a.npz", RAMP)
     (tmp_path / "a.npz").rename(tmp_path / "a.npy")
@@ -473,7 +464,6 @@ def test_all_orders_in_one_command(tmp_path):
     assert main([*command, "--order", "1,x"]) == 1
 
 
-@pytest.mark.usefixtures("mono")
 def test_text_is_told_from_heights_by_its_ending(tmp_path):
     """A table of measured values is no surface, whatever a reader would make of it."""
     np.savetxt(tmp_path / "a.txt", np.eye(8))
