@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import itertools
 import json
 import logging
 import os
@@ -22,7 +21,7 @@ import mitsuba as mi
 import numpy as np
 
 from .. import files
-from ..errors import FileFormatError, SettingError
+from ..errors import MAX_VALUE, FileFormatError, SettingError, abridged_apart
 from ..files.writing import remove_forgotten
 from ..instrument.loading import existing
 from ..results.record import Record
@@ -221,18 +220,11 @@ def _check_same(path: Path, found: Any, own: dict[str, Any]) -> None:
             )
             one, other = one.get(what, LEFT_OUT), other.get(what, LEFT_OUT)
         if one != other:
-            one, other = _from_difference(str(one), str(other))
+            one, other = abridged_apart([str(one), str(other)], MAX_VALUE)
             raise SettingError(
                 f"folder must hold this very campaign, but {path.name} was measured "
-                f"with {what} {other:.70}, not {one:.70}: {remedy}"
+                f"with {what} {other}, not {one}: {remedy}"
             )
-
-
-def _from_difference(one: str, other: str) -> list[str]:
-    """Two texts; if they are long, from shortly before the letter where they differ."""
-    same = (a == b for a, b in zip(one, other))
-    start = sum(itertools.takewhile(bool, same)) - 20
-    return [f"...{text[start:]}" if start > 20 else text for text in (one, other)]
 
 
 def _text(value: Any) -> str:

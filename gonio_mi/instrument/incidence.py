@@ -97,8 +97,11 @@ def emitter_scene(
         return scene
     if not isinstance(emitter, dict):
         raise SettingTypeError(f"emitter must be a dictionary, got {shown(emitter)}")
-    if incident is not None:
-        emitter = _turned(emitter, incident, side)
+    if incident is not None:  # it is described on +z
+        theta = incident[0] if side == "front" else 180 - incident[0]
+        turn = mi.ScalarTransform4f().rotate([0, 0, 1], incident[1])
+        own = emitter.get("to_world", mi.ScalarTransform4f())
+        emitter = emitter | {"to_world": turn.rotate([0, 1, 0], theta) @ own}
     return loaded("the emitter", mi.load_dict, {"type": "scene", "emitter": emitter})
 
 
@@ -116,17 +119,3 @@ def collimated(incident: tuple[float, float], side: str) -> Any:
     x, y, z = direction(theta, phi)
     flight = [-x, -y, -z if side == "front" else z]
     return mi.load_dict({"type": "directional", "direction": flight})
-
-
-def _turned(
-    emitter: dict[str, Any], incident: tuple[float, float], side: str
-) -> dict[str, Any]:
-    """Return `emitter`, described on +z, turned to the incident direction."""
-    theta, phi = incident
-    transform = mi.ScalarTransform4f
-    turn = (
-        transform()
-        .rotate([0, 0, 1], phi)
-        .rotate([0, 1, 0], theta if side == "front" else 180 - theta)
-    )
-    return emitter | {"to_world": turn @ emitter.get("to_world", transform())}

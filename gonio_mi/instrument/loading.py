@@ -188,10 +188,8 @@ def loaded(what: str, load: Callable[..., Any], *args: Any, **kwargs: Any) -> An
     if load is not scene_of:
         kwargs |= {"parallel": False}
     try:
-        for argument in args:
-            _check_properties(argument)
+        given = [with_real_indices(_as_loaded(one)) for one in args]
         with two_threads():
-            given = (with_own_tensors(with_real_indices(one)) for one in args)
             return load(*given, **kwargs)
     except (RuntimeError, TypeError, ValueError, AttributeError, KeyError) as error:
         if is_ctrl_c(error):
@@ -255,17 +253,11 @@ def _words(plugin: str) -> set[str]:
     return {one.decode() for one in re.findall(word, path.read_bytes())}
 
 
-def with_own_tensors(node: Any) -> Any:
-    """Dictionary with tensors of its own: Mitsuba empties those that it loads."""
-    if isinstance(node, dict):
-        return {key: with_own_tensors(value) for key, value in node.items()}
-    return type(node)(node) if dr.is_tensor_v(node) else node
+def _as_loaded(node: Any) -> Any:
+    """Dictionary with tensors of its own: Mitsuba empties those that it loads.
 
-
-def _check_properties(node: Any) -> None:
-    """Raise ValueError for what has no type in Mitsuba, which prints lines of it.
-
-    Or is no text, or would end the process.
+    ValueError for what has no type in Mitsuba, which prints lines of it, or is no text,
+    or would end the process.
     """
     if isinstance(node, str) and not node.isascii():
         try:
@@ -279,7 +271,8 @@ def _check_properties(node: Any) -> None:
         for key, value in node.items():
             if isinstance(value, int) and not -(2**63) <= value < 2**63:
                 raise SettingError(f"{key} must be below 2^63, got {shown(value)}")
-            _check_properties(value)
+        return {key: _as_loaded(value) for key, value in node.items()}
+    return type(node)(node) if dr.is_tensor_v(node) else node
 
 
 def _check_complete(plugin: Any, names: Collection[str | None]) -> None:

@@ -153,22 +153,16 @@ def _records(
         records = [replace(record, provenance=provenance)]
     if target := Target.of(setups[0].settings):
         records = [records[0].with_provenance(**target.reached(records[0]))]
-        if complete:
-            _warn_unless_reached(records[0], target)
+        reached = records[0].provenance.reached or 0.0
+        if complete and not reached <= target.goal:
+            where = "" if target.of_noise else " in the worst patch"
+            warn(
+                f"{target.name} of {target.goal:g} was not reached with "
+                f"{target.max_rays:g} rays: it is {reached:.3g}{where}"
+            )
     if not complete:
         records = [record.with_provenance(interrupted=True) for record in records]
     return records
-
-
-def _warn_unless_reached(record: Record, target: Target) -> None:
-    """Warn if the record is less precise than its target."""
-    reached = record.provenance.reached or 0.0
-    if not reached <= target.goal:
-        where = "" if target.of_noise else " in the worst patch"
-        warn(
-            f"{target.name} of {target.goal:g} was not reached with "
-            f"{target.max_rays:g} rays: it is {reached:.3g}{where}"
-        )
 
 
 def warn_of_interruption(setups: Sequence[Setup], record: Record) -> None:

@@ -114,7 +114,7 @@ def specimen_name(
     The inverse of :func:`parse_specimen`, as far as there is one. A scene of one mesh
     has the name of its file and of what it is made of.
     """
-    settings = {}
+    settings = parameters or {}
     if mesh := _only_mesh(specimen):
         bsdf = mesh["bsdf"]
         if isinstance(bsdf, dict) and bsdf["type"] == "twosided":
@@ -124,13 +124,12 @@ def specimen_name(
         name = specimen["type"]
         settings = {key: value for key, value in specimen.items() if key != "type"}
     elif isinstance(specimen, (str, os.PathLike)):
-        name, settings = str(specimen), parameters or {}
+        name = str(specimen)
     else:
-        name = specimen.class_name()
-    words = [
-        f"{key}={_word(value)}" for key, value in settings.items() if _is_word(value)
-    ]
-    return f"{name}:{','.join(words)}" if words else name
+        return specimen.class_name()
+    words = {key: _word(value) for key, value in settings.items()}
+    told = ",".join(f"{key}={word}" for key, word in words.items() if word is not None)
+    return f"{name}:{told}" if told else name
 
 
 def _only_mesh(specimen: SpecimenLike) -> dict[str, Any] | None:
@@ -142,16 +141,10 @@ def _only_mesh(specimen: SpecimenLike) -> dict[str, Any] | None:
     return parts[0] if alone else None
 
 
-def _is_word(value: Any) -> bool:
-    """Whether a value of a dictionary can be written in a word."""
-    return isinstance(value, (int, float, str)) or _is_colour(value)
-
-
-def _is_colour(value: Any) -> bool:
-    return isinstance(value, dict) and value.get("type") == "rgb"
-
-
-def _word(value: Any) -> str:
-    if _is_colour(value):
+def _word(value: Any) -> str | None:
+    """Value of a dictionary in a word; None for what has none."""
+    if isinstance(value, dict) and value.get("type") == "rgb":
         return "/".join(f"{x:g}" for x in np.ravel(value["value"]))
-    return str(value).lower() if isinstance(value, bool) else str(value)
+    if isinstance(value, bool):
+        return str(value).lower()
+    return str(value) if isinstance(value, (int, float, str)) else None

@@ -1,15 +1,18 @@
 """Functions that our BSDF plugins share: those that Mitsuba calls, and reflectances.
 
 They are no base class: that would belong to one variant, and Mitsuba's classes allow
-for no second base. A plugin that reflects on its front side says how it draws a
-direction and what it scatters there, and names in its class what is here.
+for no second base. A plugin that reflects on its front side names in its class what is
+here, and has two functions of its own: ``draw(asked, u)`` gives sample and weight for
+the point `u` of the unit square; ``scattered(asked, wo)`` the BRDF times the cosine of
+`wo`, and its density in 1/sr, both of the enabled components, and of any value where
+nothing is asked.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -84,21 +87,8 @@ class Asked:
     on: mi.Bool
 
 
-class OneSided(Protocol):
-    """What a plugin says itself."""
-
-    def draw(self, asked: Asked, u: mi.Point2f) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
-        """Sample and weight for the point `u` of the unit square, where asked."""
-
-    def scattered(self, asked: Asked, wo: mi.Vector3f) -> tuple[mi.Spectrum, mi.Float]:
-        """BRDF times the cosine of `wo`, and its density in 1/sr, where asked.
-
-        Both of the enabled components, and of any value elsewhere.
-        """
-
-
 def sample(
-    self: OneSided,
+    self: Any,
     ctx: mi.BSDFContext,
     si: mi.SurfaceInteraction3f,
     sample1: mi.Float,
@@ -113,7 +103,7 @@ def sample(
 
 
 def eval_pdf(
-    self: OneSided,
+    self: Any,
     ctx: mi.BSDFContext,
     si: mi.SurfaceInteraction3f,
     wo: mi.Vector3f,

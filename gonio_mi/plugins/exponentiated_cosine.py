@@ -11,8 +11,9 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
-from gonio_mi.plugins import properties
+from gonio_mi.errors import checked_choice, checked_number
 from gonio_mi.plugins.bsdf_functions import GLOSSY
+from gonio_mi.plugins.properties import given
 
 # What the lobe about the mirror direction stands for; see plugin `cosinelobe`.
 FORMS = ("unit", "modified_phong")
@@ -28,9 +29,15 @@ def exponent(props: mi.Properties, name: str, default: float) -> mi.Float:
     """Return the property `name`, an exponent, as a variable that kernels read."""
     condition = f"a number from 0 to {MAX_EXPONENT:.0f}"
     above = MAX_EXPONENT * (1 + 2.0**-52)
-    value = mi.Float(properties.number(props, name, default, 0, above, condition))
+    number = checked_number(*given(props, name, default), 0, above, condition)
+    value = mi.Float(number)
     dr.make_opaque(value)
     return value
+
+
+def form(props: mi.Properties) -> str:
+    """Return the property `normalisation`, one of :data:`FORMS`."""
+    return checked_choice(*given(props, "normalisation", "unit"), FORMS)
 
 
 def flags(form: str) -> int:

@@ -135,14 +135,10 @@ class Cells:
 
     def nodes(self) -> list[NDArray[Any]]:
         """Polar angle, azimuth, hemisphere and weight of the points of the rule."""
-        theta, phi = (
-            edges.mean(axis=1, keepdims=True) + np.diff(edges) / 2 * NODES
-            for edges in (self.theta, self.phi)
-        )
-        arrays = np.broadcast_arrays(
-            theta[:, :, None], phi[:, None, :], self.lower[:, None, None], self._areas()
-        )
-        return [array.ravel() for array in arrays]
+        each = GAUSS.placed(self)
+        angles = (middle[:, None] + half[:, None] * at for middle, half, _, at in each)
+        lower = np.repeat(self.lower, NODES_PER_CELL)
+        return [*map(np.ravel, angles), lower, self._areas().ravel()]
 
     def weights(self) -> Floats:
         """Solid angles that the points of the rule stand for, shape (n, n_points)."""

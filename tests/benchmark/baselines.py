@@ -1,6 +1,7 @@
 """Ways to count the rays of a flat specimen: ours, and what is commonly used."""
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -174,39 +175,39 @@ def numpy_rays() -> Baseline:
 
 
 @cache
-def _numba_loop() -> Callable[[int, int, int, int, int], Integers]:
-    """Compiled parallel loop, or ImportError without numba."""
+def _numba_loop() -> Callable[[int, int, int, int], Integers]:
+    """Compiled loop that threads may share, or ImportError without numba."""
     import numba
 
-    @numba.njit(parallel=True, fastmath=True)
-    def _count(
-        rays: int, seed: int, n_theta: int, n_phi: int, n_parts: int
-    ) -> Integers:
-        counts = np.zeros((n_parts, n_theta * n_phi), np.int64)
-        for part in numba.prange(n_parts):
-            # numba knows the legacy generator only, one in each thread
-            np.random.seed(seed * n_parts + part)  # noqa: NPY002
-            own = np.zeros(n_theta * n_phi, np.uint32)
-            for _ in range(rays * part // n_parts, rays * (part + 1) // n_parts):
-                r = np.sqrt(np.random.random())  # noqa: NPY002
-                phi = 2 * np.pi * np.random.random()  # noqa: NPY002
-                x, y = r * np.cos(phi), r * np.sin(phi)
-                ring = min(int((x * x + y * y) * n_theta), n_theta - 1)
-                turn = np.arctan2(y, x) / (2 * np.pi)
-                sector = min(int((turn + (turn < 0)) * n_phi), n_phi - 1)
-                own[ring * n_phi + sector] += 1
-            counts[part] = own
-        return counts.sum(axis=0)
+    @numba.njit(nogil=True, fastmath=True)
+    def _count(rays: int, seed: int, n_theta: int, n_phi: int) -> Integers:
+        # numba knows the legacy generator only, one in each thread
+        np.random.seed(seed)  # noqa: NPY002
+        own = np.zeros(n_theta * n_phi, np.uint32)
+        for _ in range(rays):
+            r = np.sqrt(np.random.random())  # noqa: NPY002
+            phi = 2 * np.pi * np.random.random()  # noqa: NPY002
+            x, y = r * np.cos(phi), r * np.sin(phi)
+            ring = min(int((x * x + y * y) * n_theta), n_theta - 1)
+            turn = np.arctan2(y, x) / (2 * np.pi)
+            sector = min(int((turn + (turn < 0)) * n_phi), n_phi - 1)
+            own[ring * n_phi + sector] += 1
+        return own
 
     return _count
 
 
 def numba_rays() -> Baseline:
     """A white Lambertian surface, in a parallel loop; ImportError without numba."""
-    count = _numba_loop()
+    count, n_parts = _numba_loop(), 16
 
     def _flux(rays: int, seed: int) -> Floats:
-        counts = count(rays, seed, *PATCHES.shape, 16)
+        def _part(part: int) -> Integers:
+            n = rays * (part + 1) // n_parts - rays * part // n_parts
+            return count(n, seed * n_parts + part, *PATCHES.shape)
+
+        with ThreadPoolExecutor(dr.thread_count()) as pool:
+            counts = sum(pool.map(_part, range(n_parts)), np.zeros(1, np.int64))
         return counts.reshape(PATCHES.shape) / rays
 
     return Baseline("numba, parallel loop", _flux)

@@ -28,6 +28,7 @@ from benchmark.baselines import (
     gonio_rays,
     numba_rays,
     numpy_rays,
+    without_renderer,
 )
 from benchmark.batch_designs import crossing
 from benchmark.counting import SPECIMENS, baselines
@@ -136,17 +137,9 @@ def test_c_loop_has_any_number_of_patches(collector):
 
 def test_without_a_compiler_one_line_says_so(monkeypatch):
     monkeypatch.setattr(c_loop.shutil, "which", lambda _: None)
-    c_loop.library.cache_clear()
-    try:
-        _, absent = baselines_without_renderer(monkeypatch)
-    finally:
-        c_loop.library.cache_clear()
+    monkeypatch.setattr(c_loop, "library", c_loop.library.__wrapped__)
+    _, absent = without_renderer()
     assert "the C loop is left out: no C compiler (cc, gcc, clang) was found" in absent
-
-
-def baselines_without_renderer(monkeypatch):
-    monkeypatch.setattr("benchmark.counting.SPECIMENS", {})
-    return baselines()
 
 
 def test_a_compiler_that_fails_is_named(monkeypatch):
@@ -161,14 +154,6 @@ def test_a_compiler_that_fails_is_named(monkeypatch):
 
 WI = direction(np.radians([THETA_I]), np.zeros(1))
 COARSE = subdivision("projected:6x8")
-
-
-def groove_flux(patches):
-    """Exact flux fractions of the groove in the patches of `patches`."""
-    points = patches.points(8)
-    return groove.patch_means(WI, points).reshape(patches.shape) * (
-        patches.projected_solid_angles
-    )
 
 
 def test_groove_is_reciprocal(monkeypatch):
@@ -200,11 +185,12 @@ def test_groove_without_absorption(monkeypatch, theta_deg):
 def test_instrument_measures_the_groove():
     """The traced V-groove has the BRDF of its radiosity; twin: 2 % more."""
     scene = mi.load_dict({"type": "scene", **groove.walls()}, optimize=False)
-    record = gonio.measure(
-        scene, THETA_I, collector=COARSE, rays=2 * 10**5, sampler="independent"
-    )
-    agree(verdict(scores(record, groove_flux(COARSE))))
-    disagree(verdict(scores(record, 1.02 * groove_flux(COARSE))))
+    how = {"collector": COARSE, "rays": 2 * 10**5, "sampler": "independent"}
+    record = gonio.measure(scene, THETA_I, **how)
+    exact = groove.patch_means(WI, COARSE.points(8)).reshape(COARSE.shape)
+    exact *= COARSE.projected_solid_angles
+    agree(verdict(scores(record, exact)))
+    disagree(verdict(scores(record, 1.02 * exact)))
 
 
 def test_path_towards_directions():
@@ -220,83 +206,69 @@ def test_path_towards_directions():
     assert error(baseline, exact, 2) < error(baseline, exact, 1) / 2**1.5
 
 
+def grouped(flux, rows=5, columns=5):
+    """Flux of groups of patches, so that means are normal; by seed or batch."""
+    return flux.reshape(-1, 30 // rows, rows, 30 // columns, columns).sum(axis=(2, 4))
+
+
+def of_seeds(baseline, size):
+    """Flux of 16 seeds."""
+    return np.stack([baseline.flux(size, seed) for seed in range(16)])
+
+
+def compared(flux, exact):
+    """Verdict on the means of 16 seeds."""
+    values, (target,) = grouped(flux), grouped(exact)
+    t = 4 * (values.mean(axis=0) - target) / values.std(axis=0, ddof=1)
+    return verdict(normal_scores(t.ravel(), 15))
+
+
 def test_path_samples_of_the_groove():
     """Means of seeds agree with the radiosity at the same points; twin: 2 % more."""
-    baseline = renderers.path_samples(groove.walls)
-    flux = np.stack([baseline.flux(256, seed) for seed in range(16)])
-    points = PATCHES.points(1)
-    exact = groove.patch_means(WI, points).reshape(PATCHES.shape)
-
-    def compared(exact):
-        # groups of 25 patches, so that means are normal
-        values = flux.reshape(16, -1, 25).sum(axis=2)
-        target = (exact * PATCHES.projected_solid_angles).reshape(-1, 25).sum(axis=1)
-        std_err = values.std(axis=0, ddof=1) / 4
-        return verdict(normal_scores((values.mean(axis=0) - target) / std_err, 15))
-
-    agree(compared(exact))
-    disagree(compared(1.02 * exact))
-
-
-def test_path_samples_of_facets():
-    """Copies of a cell about one of them are as good as a period; twin: 4 % more."""
-    shapes = {"facets": diffuse_facets.facets(diffuse_facets.COPIES)}
-    baseline = renderers.path_samples(lambda: shapes, 2)
-    flux = np.stack([baseline.flux(16, seed) for seed in range(16)])
-    record = gonio.measure(
-        {"type": "scene", "facets": diffuse_facets.facets()},
-        THETA_I,
-        period="box",
-        estimator="next_event",
-        points=PATCHES.n_patches,
-        rays=2**12,
-    )
-    (tally,) = record.tallies
-    ours = tally.sums[:, 0, ..., 0] / tally.incident[:, None]
-
-    def compared(factor):
-        # groups of 50 patches, so that means are normal and hold few errors in common
-        a, b = (x.reshape(16, -1, 50).sum(axis=2) for x in (factor * flux, ours))
-        std_err = np.sqrt((a.var(axis=0, ddof=1) + b.var(axis=0, ddof=1)) / 16)
-        z = normal_scores((a - b).mean(axis=0) / std_err, 30)
-        worst = z.size * 2 * stats.norm.sf(np.abs(z).max())
-        return budget.Verdict({"worst": min(1.0, worst)}, z.size)
-
-    agree(compared(1))
-    disagree(compared(1.04))
+    flux = of_seeds(renderers.path_samples(groove.walls), 256)
+    exact = groove.patch_means(WI, PATCHES.points(1)).reshape(PATCHES.shape)
+    exact *= PATCHES.projected_solid_angles
+    agree(compared(flux, exact))
+    disagree(compared(flux, 1.02 * exact))
 
 
 def test_path_samples_of_a_layer():
     """Mitsuba's volpath agrees with discrete ordinates; twin: as lit from the left."""
     (((_, exact), *_, (baseline, _), _),) = turbid_layer.layer_contests()[0].values()
     assert baseline.name.startswith("Mitsuba volpath")
-    flux = np.stack([baseline.flux(16, seed) for seed in range(16)])
+    flux = of_seeds(baseline, 16)
+    agree(compared(flux, exact))
+    disagree(compared(flux, np.roll(exact, 15, axis=1)))
 
-    def compared(exact):
-        # groups of 5 x 5 patches, so that means are normal
-        values, target = (
-            x.reshape(-1, 6, 5, 6, 5).sum(axis=(2, 4)) for x in (flux, exact)
-        )
-        std_err = values.std(axis=0, ddof=1) / 4
-        z = (values.mean(axis=0) - target[0]) / std_err
-        return verdict(normal_scores(z.ravel(), 15))
 
-    agree(compared(exact))
-    disagree(compared(np.roll(exact, 15, axis=1)))
+def test_path_samples_of_facets():
+    """Copies of a cell about one of them are as good as a period; twin: 4 % more."""
+    shapes = {"facets": diffuse_facets.facets(diffuse_facets.COPIES)}
+    flux = grouped(of_seeds(renderers.path_samples(lambda: shapes, 2), 16), 5, 10)
+    how = {"estimator": "next_event", "points": PATCHES.n_patches, "rays": 2**12}
+    cell = {"type": "scene", "facets": diffuse_facets.facets()}
+    (tally,) = gonio.measure(cell, THETA_I, period="box", **how).tallies
+    ours = grouped(tally.sums[:, 0, ..., 0] / tally.incident[:, None], 5, 10)
+
+    def judged(factor):
+        variance = factor**2 * flux.var(axis=0, ddof=1) + ours.var(axis=0, ddof=1)
+        differences = (factor * flux - ours).mean(axis=0)
+        # few errors in common
+        z = normal_scores((differences / np.sqrt(variance / 16)).ravel(), 30)
+        worst = z.size * 2 * stats.norm.sf(np.abs(z).max())
+        return budget.Verdict({"worst": min(1.0, worst)}, z.size)
+
+    agree(judged(1))
+    disagree(judged(1.04))
 
 
 def test_radiance_of_facets():
     """More samples come nearer to our reflectance; twin: not to that of a plate."""
     baseline = built(diffuse_facets.facets_of_radiance)
     few, many = (baseline.flux(samples, 0).sum() for samples in (2, 8))
-    record = gonio.measure(
-        {"type": "scene", "facets": diffuse_facets.facets()},
-        0,
-        period="box",
-        divergence=diffuse_facets.FIRST_KLEMS,
-        collector=renderers.KLEMS,
-        rays=2**18,
-    )
+    how = {"divergence": diffuse_facets.FIRST_KLEMS, "collector": renderers.KLEMS}
+    cell = {"type": "scene", "facets": diffuse_facets.facets()}
+    record = gonio.measure(cell, 0, period="box", rays=2**18, **how)
     ours, plate = record.dhr[0], diffuse_facets.REFLECTANCE
     assert record.dhr_std_err[0] < 1e-2 * (plate - ours)
     assert abs(many - ours) < abs(few - ours) / 2

@@ -5,7 +5,7 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
-from gonio_mi.plugins import bsdf_functions, exponentiated_cosine as lobe, properties
+from gonio_mi.plugins import bsdf_functions, exponentiated_cosine as lobe
 from gonio_mi.plugins.bsdf_functions import Asked, reflectance
 from gonio_mi.settings.declaration import example
 
@@ -98,7 +98,7 @@ class CosineLobe(mi.BSDF):
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         self.exponent = lobe.exponent(props, "exponent", 16.0)
-        self.form = properties.choice(props, "normalisation", "unit", lobe.FORMS)
+        self.form = lobe.form(props)
         self.reflectance = reflectance(props, "reflectance", 1.0)
         self.m_flags = lobe.flags(self.form)
         self.m_components = [self.m_flags]

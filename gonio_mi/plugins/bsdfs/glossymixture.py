@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 
 from gonio_mi.errors import SettingError
-from gonio_mi.plugins import bsdf_functions, exponentiated_cosine as lobe, properties
+from gonio_mi.plugins import bsdf_functions, exponentiated_cosine as lobe
 from gonio_mi.plugins.bsdf_functions import Asked, mean, reflectance
 from gonio_mi.settings.declaration import example
 
@@ -80,7 +80,7 @@ class GlossyMixture(mi.BSDF):
         self.diffuse = reflectance(props, "diffuse_reflectance", 0.8)
         self.specular = reflectance(props, "specular_reflectance", 0.2)
         self.exponent = lobe.exponent(props, "exponent", 16.0)
-        self.form = properties.choice(props, "normalisation", "unit", lobe.FORMS)
+        self.form = lobe.form(props)
         total = mean(self.diffuse) + mean(self.specular)
         # 0.8 + 0.2 in float32 may exceed 1 by a rounding error
         if total > 1 + 2.0**-22:

@@ -10,9 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio_mi.array_types import Floats
-from gonio_mi.errors import SpecimenError, check_memory, warn
+from gonio_mi.errors import (
+    SpecimenError,
+    check_memory,
+    checked_choice,
+    checked_count,
+    checked_number,
+    warn,
+)
 from gonio_mi.mitsuba_compat import mesh_of
-from gonio_mi.plugins import properties
+from gonio_mi.plugins.properties import given
 from gonio_mi.settings.declaration import example
 from gonio_mi.surfaces.height_maps import HeightMap, read_height_map
 from gonio_mi.surfaces.heights import (
@@ -179,11 +186,11 @@ def _topography(props: mi.Properties) -> tuple[str, Topography]:
     sources = [source for source in ("filename", "heights") if source in props]
     if not sources:
         return _random(props)
-    given = [key for key in GENERATED if key in props]
-    if len(sources) + len(given) > 1:
+    statistics = [key for key in GENERATED if key in props]
+    if len(sources) + len(statistics) > 1:
         raise SpecimenError(
             "heightfield must have heights from one source, filename, heights or "
-            f"statistics, got {', '.join(sources + given)}"
+            f"statistics, got {', '.join(sources + statistics)}"
         )
     if sources == ["filename"]:
         path = Path(str(mi.file_resolver().resolve(props["filename"])))
@@ -195,14 +202,16 @@ def _topography(props: mi.Properties) -> tuple[str, Topography]:
     wanted = Preparation(
         size=_positive(props, "size") if "size" in props else None,
         size_y=_positive(props, "size_y") if "size_y" in props else None,
-        scale=properties.number(props, "scale", 1.0, -MAX_LENGTH, MAX_LENGTH, signed)
+        scale=checked_number(
+            *given(props, "scale", 1.0), -MAX_LENGTH, MAX_LENGTH, signed
+        )
         if "scale" in props
         else None,
         height_range=_positive(props, "range") if "range" in props else None,
         unit=props.get("unit", None),
         periodic=bool(props["periodic"]) if "periodic" in props else None,
-        form=properties.choice(props, "form", "keep", FORMS),
-        fill=properties.choice(props, "fill", "none", FILLS),
+        form=checked_choice(*given(props, "form", "keep"), FORMS),
+        fill=checked_choice(*given(props, "fill", "none"), FILLS),
     )
     ready = topography(source, wanted)
     return f"heightfield {ready.source}", ready
@@ -211,19 +220,19 @@ def _topography(props: mi.Properties) -> tuple[str, Topography]:
 def _random(props: mi.Properties) -> tuple[str, Topography]:
     """Gaussian random surface, and the name that tells what was asked for."""
     size = _positive(props, "size", 2.0)
-    resolution = properties.count(props, "resolution", 256, minimum=4)
+    resolution = checked_count(*given(props, "resolution", 256), 4)
     alpha = _positive(props, "alpha", 0.2)
     length = size * max(1 / 32, 4 / resolution)
     alphas = _positive(props, "alpha_u", alpha), _positive(props, "alpha_v", alpha)
     asked: dict[str, Any] = {
         "correlation_length": _positive(props, "correlation_length", length),
-        "correlation": properties.choice(
-            props, "correlation", "gaussian", CORRELATIONS
+        "correlation": checked_choice(
+            *given(props, "correlation", "gaussian"), CORRELATIONS
         ),
-        "shortest": properties.number(
-            props, "shortest", 0.0, 0, np.inf, "a number of 0 or more"
+        "shortest": checked_number(
+            *given(props, "shortest", 0.0), 0, np.inf, "a number of 0 or more"
         ),
-        "seed": properties.count(props, "seed", 0, minimum=0),
+        "seed": checked_count(*given(props, "seed", 0), 0),
     }
     spacing = size / resolution
     heights = gaussian_heights((resolution, resolution), spacing, alphas, **asked)
@@ -234,7 +243,8 @@ def _random(props: mi.Properties) -> tuple[str, Topography]:
 
 
 def _positive(props: mi.Properties, name: str, default: float = 1.0) -> float:
-    return properties.number(props, name, default, 1 / MAX_LENGTH, MAX_LENGTH, POSITIVE)
+    limits = 1 / MAX_LENGTH, MAX_LENGTH
+    return checked_number(*given(props, name, default), *limits, POSITIVE)
 
 
 def _normals(heights: Floats, spacing: tuple[float, float], closed: bool) -> Floats:

@@ -3,7 +3,6 @@
 All is exact. Processes are killed for real.
 """
 
-import importlib
 import os
 import random
 import signal
@@ -11,11 +10,14 @@ import subprocess
 import sys
 import time
 from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
+from pathlib import Path
 
 import mitsuba as mi
+import plain_bsdf
 import pytest
 
 import gonio_mi as gonio
+from gonio_mi.campaigns import tasks
 from gonio_mi.cli import main
 
 SPECIMENS = {
@@ -44,10 +46,7 @@ mi.register_bsdf("deadly", Deadly)
 
 @pytest.fixture(scope="module")
 def reference():
-    before = mi.variant()
-    mi.set_variant("llvm_ad_mono")
-    yield {k: gonio.measure(v, **ANGLES, **SETTINGS) for k, v in SPECIMENS.items()}
-    mi.set_variant(before or "llvm_ad_mono")
+    return {k: gonio.measure(v, **ANGLES, **SETTINGS) for k, v in SPECIMENS.items()}
 
 
 def same(records, reference):
@@ -56,38 +55,26 @@ def same(records, reference):
     }
 
 
-@pytest.fixture(params=["here", "threads", "processes"])
-def executor(request):
-    if request.param == "here":
-        yield None
-    elif request.param == "threads":
-        with ThreadPoolExecutor(3) as pool:
-            yield pool
-    else:
-        yield 2
-
-
-def test_same_bits_wherever(executor, reference, monkeypatch):
+@pytest.mark.parametrize("where", [None, ThreadPoolExecutor, 2])
+def test_same_bits_wherever(where, reference, monkeypatch):
     """One direction a task, so that they end in another order than they began."""
-    module = importlib.import_module("gonio_mi.campaigns.tasks")
-    monkeypatch.setattr(module, "TASK_RAYS", 1)
+    executor = where(3) if where is ThreadPoolExecutor else where
+    monkeypatch.setattr(tasks, "TASK_RAYS", 1)
     records = gonio.campaign(SPECIMENS, **ANGLES, **SETTINGS, executor=executor)
     assert same(records, reference)
     assert list(records["matt"].phi_i) == [0, 90, 200] * 2
     assert records["metal"].brdf.shape == (6, 6, 6, 1)
 
 
-def test_a_cluster_of_two_workers(reference):
+def test_a_cluster(reference):
     distributed = pytest.importorskip("distributed")
+    how = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": ":0"}
     with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0"
-        ) as cluster,
+        distributed.LocalCluster(processes=True, **how) as cluster,
         distributed.Client(cluster) as client,
     ):
-        records = gonio.campaign(
-            SPECIMENS, **ANGLES, **SETTINGS, executor=client.get_executor(), threads=1
-        )
+        where = {"executor": client.get_executor(), "threads": 1}
+        records = gonio.campaign(SPECIMENS, **ANGLES, **SETTINGS, **where)
     assert same(records, reference)
 
 
@@ -96,30 +83,26 @@ def test_measure_takes_an_executor_and_a_folder(reference, tmp_path):
     with ThreadPoolExecutor(2) as pool:
         record = gonio.measure(SPECIMENS["metal"], **settings, executor=pool)
     assert record.tallies == reference["metal"].tallies
-    single = gonio.measure(
-        SPECIMENS["metal"], 40, 90, **SETTINGS, folder=tmp_path / "b"
-    )
+    settings = SETTINGS | {"folder": tmp_path / "b"}
+    single = gonio.measure(SPECIMENS["metal"], 40, 90, **settings)
     assert not single.stacked
     assert single.tallies == reference["metal"][4].tallies
 
 
 def test_what_is_finished_is_not_measured_again(reference, tmp_path, monkeypatch):
-    module = importlib.import_module("gonio_mi.campaigns.tasks")
-    monkeypatch.setattr(module, "TASK_RAYS", 1)
+    monkeypatch.setattr(tasks, "TASK_RAYS", 1)
     gonio.campaign(SPECIMENS, **ANGLES, **SETTINGS, folder=tmp_path)
     files = sorted(tmp_path.glob("*.npz"))
     assert len(files) == 12
     files[3].unlink()
     files[7].write_bytes(files[7].read_bytes()[:100])
-    measured = []
-
-    measure_each = module.measure_each
+    measured, measure_each = [], tasks.measure_each
 
     def measure(specimen, incidents, **settings):
         measured.extend(incidents)
         return measure_each(specimen, incidents, **settings)
 
-    monkeypatch.setattr(module, "measure_each", measure)
+    monkeypatch.setattr(tasks, "measure_each", measure)
     records = gonio.campaign(SPECIMENS, **ANGLES, **SETTINGS, folder=tmp_path)
     assert measured == [(40, 0), (0, 90)]
     assert same(records, reference)
@@ -129,14 +112,11 @@ def test_what_is_finished_is_not_measured_again(reference, tmp_path, monkeypatch
 def interrupted():
     """BSDF plugin that reflects diffusely, until its eighth sample() is interrupted."""
 
-    class Interrupted(mi.BSDF):
+    class Interrupted(plain_bsdf.plain()):
         calls = 0
 
-        def __init__(self, props):
-            super().__init__(props)
+        def load(self, _):
             self.diffuse = mi.load_dict({"type": "diffuse"})
-            self.m_components = [self.diffuse.flags(0)]
-            self.m_flags = self.diffuse.flags()
 
         def sample(self, *arguments):
             Interrupted.calls += 1
@@ -144,17 +124,13 @@ def interrupted():
                 raise KeyboardInterrupt
             return self.diffuse.sample(*arguments)
 
-        def to_string(self):
-            return "Interrupted"
-
-    mi.register_bsdf("test_interrupted_once", Interrupted)
+    plain_bsdf.register([Interrupted])
     return Interrupted
 
 
 def test_ctrl_c_keeps_whole_directions_only(interrupted, tmp_path, monkeypatch):
-    module = importlib.import_module("gonio_mi.campaigns.tasks")
-    monkeypatch.setattr(module, "TASK_RAYS", 1)
-    specimen = {"type": "test_interrupted_once"}
+    monkeypatch.setattr(tasks, "TASK_RAYS", 1)
+    specimen = {"type": "interrupted"}
     settings = ANGLES | SETTINGS | {"sampler": "independent"}
     with pytest.warns(RuntimeWarning, match="interrupted: the record holds"):
         part = gonio.measure(specimen, **settings)
@@ -237,19 +213,15 @@ def deadly(tmp_path):
 
 
 def test_a_worker_that_dies_is_replaced(deadly, reference):
+    """Unless it keeps dying."""
     specimen, settings = deadly
+    always = {"matt": specimen | {"always": True}}
+    with pytest.raises(BrokenExecutor):
+        gonio.campaign(always, 0, **SETTINGS, **settings, retries=0)
+    Path(specimen["marker"]).unlink()
     with pytest.warns(RuntimeWarning, match="a worker died; 6 tasks are sent again"):
         records = gonio.campaign({"matt": specimen}, **ANGLES, **SETTINGS, **settings)
     assert records["matt"].tallies == reference["matt"].tallies
-
-
-@pytest.mark.filterwarnings("ignore:a worker died")
-def test_workers_that_keep_dying(deadly):
-    specimen, settings = deadly
-    with pytest.raises(BrokenExecutor):
-        gonio.campaign(
-            {"matt": specimen | {"always": True}}, 0, **SETTINGS, **settings, retries=1
-        )
 
 
 def command(folder, output):

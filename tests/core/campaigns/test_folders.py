@@ -3,7 +3,6 @@
 All is exact.
 """
 
-import importlib
 import shutil
 import sys
 
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 
 import gonio_mi as gonio
+from gonio_mi.campaigns import tasks
 from gonio_mi.cli import main
 
 PLATE = {"plate": {"type": "diffuse"}}
@@ -51,8 +51,7 @@ def folder(tmp_path):
 
 @pytest.fixture(autouse=True)
 def one_direction_a_task(monkeypatch):
-    module = importlib.import_module("gonio_mi.campaigns.tasks")
-    monkeypatch.setattr(module, "TASK_RAYS", 1)
+    monkeypatch.setattr(tasks, "TASK_RAYS", 1)
 
 
 def measure(folder, theta_i=(0, 30, 60), specimens=PLATE, **settings):
@@ -141,15 +140,14 @@ def test_an_emitter_that_was_turned_a_little(tmp_path, refused):
 
 
 def test_a_folder_at_work(folder, refused):
-    module = importlib.import_module("gonio_mi.campaigns.tasks")
-    measure_each = module.measure_each
+    measure_each = tasks.measure_each
 
     def at_work(specimen, incidents, **settings):
         assert "another campaign is at work" in refused(folder=folder.parent / "busy")
         return measure_each(specimen, incidents, **settings)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "measure_each", at_work)
+        patch.setattr(tasks, "measure_each", at_work)
         measure(folder.parent / "busy", theta_i=0)
     measure(folder.parent / "busy", theta_i=0)
 
@@ -240,15 +238,14 @@ def test_an_edited_plugin(plugin, tmp_path, capsys, change):
 def test_a_plugin_edited_while_it_is_measured(plugin, tmp_path):
     specimens, path = {"plain": {"type": "test_plain"}}, plugin()
 
-    module = importlib.import_module("gonio_mi.campaigns.tasks")
-    measure_each = module.measure_each
+    measure_each = tasks.measure_each
 
     def edited(specimen, incidents, **settings):
         plugin(0.9)
         return measure_each(specimen, incidents, **settings)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "measure_each", edited)
+        patch.setattr(tasks, "measure_each", edited)
         with pytest.raises(ValueError, match=r"p\.py was edited"):
             measure(tmp_path / "kept", specimens=specimens, plugins=[path])
 

@@ -69,14 +69,10 @@ def started(tmp_path):
     angles = ("--theta-i", "0", "30", "50", "70", "80", "-q")
     settings = ("--rays", "100", "--batches", "2", "--plugin", "plugin.py")
     kept = ("--workers", "2", "--folder", "kept")
-    process = subprocess.Popen(
-        [sys.executable, "bin/command.py", "measure", "test_waiting"]
-        + [*angles, *settings, *kept],
-        cwd=tmp_path,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
+    command = [sys.executable, "bin/command.py", "measure", "test_waiting"]
+    how = {"stderr": subprocess.PIPE, "text": True, "start_new_session": True}
+    command += [*angles, *settings, *kept]
+    process = subprocess.Popen(command, cwd=tmp_path, **how)
     with process:
         try:
             end = time.monotonic() + HANGS

@@ -39,10 +39,10 @@ def several_threads():
 
 
 def test_threads_share_the_instrument():
-    """Exact: 80 measurements in four threads have the bits of one after the other."""
+    """Exact: 40 measurements in four threads have the bits of one after the other."""
     ways = [SMALL | {"seed": seed, "trace": seed == 4} for seed in range(5)]
     alone = [gonio.measure(PLATE, 30, **way).tallies for way in ways]
-    todo = list(range(len(ways))) * 16
+    todo = list(range(len(ways))) * 8
     with ThreadPoolExecutor(4) as pool:
         found = pool.map(lambda i: gonio.measure(PLATE, 30, **ways[i]).tallies, todo)
     assert all(tallies == alone[i] for i, tallies in zip(todo, found))
@@ -239,7 +239,7 @@ def test_an_error_comes_out_after_a_change_of_variant(error):
 
 
 def test_threads_of_other_variants_get_their_own_numbers_or_none():
-    """Of 48 jobs in four threads; once a third got another's numbers, or crashed."""
+    """Of 24 jobs in four threads; once a third got another's numbers, or crashed."""
     names = "llvm_ad_mono", "llvm_ad_rgb"
 
     def job(i):
@@ -251,7 +251,7 @@ def test_threads_of_other_variants_get_their_own_numbers_or_none():
         return record.settings["variant"] == names[i % 2]
 
     with ThreadPoolExecutor(4) as pool:
-        assert all(pool.map(job, range(48)))
+        assert all(pool.map(job, range(24)))
     mi.set_variant("llvm_ad_mono")
 
 

@@ -9,10 +9,9 @@ import os
 import signal
 import subprocess
 import sys
-from dataclasses import FrozenInstanceError, replace
+from dataclasses import replace
 from types import SimpleNamespace
 
-import mitsuba as mi
 import numpy as np
 import OpenEXR
 import pytest
@@ -102,13 +101,10 @@ def loaded(monkeypatch, *version):
 # ---------------------------------------------------------------- version and verdict
 
 
-def test_status_is_frozen():
-    with pytest.raises(FrozenInstanceError):
-        llvm.status().usable = True
-
-
 def test_too_late(before_drjit):
     loaded(before_drjit, 15, 0, 6)
+    llvm.prepare()
+    assert VARIABLE not in os.environ
     assert llvm.status().version == (15, 0, 6)
     with pytest.raises(
         LLVMError, match=r"15\.0\.6.* and import gonio_mi before mitsuba"
@@ -122,11 +118,15 @@ def test_loaded_and_good(before_drjit):
     llvm.check()
 
 
-def test_named_but_not_loaded(before_drjit, tmp_path):
-    (tmp_path / "libLLVM.so.19.1").touch()
-    before_drjit.setenv(VARIABLE, str(tmp_path / "libLLVM.so.19.1"))
+@pytest.mark.parametrize("there", [True, False])
+def test_named_but_not_loaded(before_drjit, tmp_path, there):
+    path = tmp_path / "libLLVM.so.19.1"
+    if there:
+        path.touch()
+    before_drjit.setenv(VARIABLE, str(path))
     loaded(before_drjit, -1, -1, -1)
-    match = f"is no LLVM that can be loaded, .* and unset {VARIABLE}"
+    how = "is no LLVM that can be loaded" if there else "does not exist"
+    match = rf"{path} \({VARIABLE}\) {how}, .* and unset {VARIABLE}"
     with pytest.raises(LLVMError, match=match):
         llvm.check()
 
@@ -160,12 +160,6 @@ def test_prepare_keeps_the_users_choice(before_drjit):
     before_drjit.setenv(VARIABLE, "/nonexistent/libLLVM-15.so")
     llvm.prepare()
     assert os.environ[VARIABLE] == "/nonexistent/libLLVM-15.so"
-
-
-def test_prepare_does_nothing_too_late(before_drjit):
-    loaded(before_drjit, 15, 0, 6)
-    llvm.prepare()
-    assert VARIABLE not in os.environ
 
 
 def test_prepare_never_raises(before_drjit):
@@ -212,9 +206,7 @@ def test_with_nothing_set_a_usable_one_is_loaded():
 
 
 @needs_old_library
-@pytest.mark.parametrize(
-    "code", [CHECK, MEASURE, DOCTOR], ids=["check", "measure", "doctor"]
-)
+@pytest.mark.parametrize("code", [MEASURE, DOCTOR], ids=["measure", "doctor"])
 def test_old_library(code):
     path = OLD_LIBRARIES[0]
     process = python(code, path)
@@ -248,18 +240,10 @@ def test_file_that_is_no_library(tmp_path):
     )
 
 
-def test_path_that_does_not_exist(tmp_path):
-    path = tmp_path / "libLLVM.so.19.1"
-    process = python(CHECK, path)
-    assert process.returncode == 1
-    assert f"LLVMError: {path} ({VARIABLE}) does not exist" in process.stderr
-
-
 # ----------------------------------------------------------------------------- doctor
 
 
 def test_doctor_finds_this_machine_able(capsys):
-    mi.set_variant("llvm_ad_mono")
     code, lines = doctor.run(None), capsys.readouterr().out.splitlines()
     assert code == 0, "\n".join(lines)
     assert len(lines) == len(doctor.diagnose()[0]) + 1
@@ -267,7 +251,6 @@ def test_doctor_finds_this_machine_able(capsys):
 
 
 def test_doctor_says_what_is_missing(monkeypatch):
-    mi.set_variant("llvm_ad_mono")
     loaded(monkeypatch, -1, -1, -1)
     monkeypatch.delenv(VARIABLE, raising=False)
     monkeypatch.setattr(doctor, "REQUIRED", ("no-such-distribution",))
@@ -284,7 +267,6 @@ def test_doctor_says_what_is_missing(monkeypatch):
 
 def test_self_test_has_power():
     """Twins: a wrong BRDF, and one ray in the wrong row of the ledger."""
-    mi.set_variant("llvm_ad_mono")
     record = doctor._measure_white()
     assert doctor._faults(record, 1 / np.pi) == []
     # the interval of a patch of 1e4 counts has a half width of 6 %

@@ -1,11 +1,19 @@
 """Each file of `scenes` is a complete measurement, in every variant."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
 import pytest
-from budget import agree, count_verdict, disagree, single, verdict
+from budget import (
+    agree,
+    count_verdict,
+    difference_scores,
+    disagree,
+    single,
+    verdict,
+)
 from closed_forms import fresnel, slab
 
 import gonio_mi as gonio
@@ -34,11 +42,8 @@ def test_renders_in_every_variant(name):
 def is_the_record(image, record):
     assert record.ledger.emitted == 2000
     assert np.isfinite(image).all()
-    assert image.shape == (
-        (1 + record.has_lower) * 30,
-        30,
-        len(record.channels),
-    )
+    rows = 30 * (1 + record.has_lower)
+    assert image.shape == (rows, 30, len(record.channels))
     # exact: the map is the record, in single precision
     np.testing.assert_array_equal(image[:30], record.brdf.astype(np.float32))
     if record.has_lower:
@@ -105,32 +110,18 @@ def test_v_grooves(theta_i):
 
 def test_anisotropic_lobe_follows_phi_i():
     """Half a turn of the specimen about z changes nothing, a quarter turn does."""
-    from budget import difference_scores
-
     scene = SCENES / "anisotropic_conductor.xml"
+    how = {"collector": "projected:20x20", "sampler": "independent", "rays": 2 * 10**6}
 
     def at(phi_i, seed):
-        return gonio.measure(
-            scene,
-            45,
-            phi_i,
-            seed=seed,
-            rays=2 * 10**6,
-            collector="projected:20x20",
-            sampler="independent",
-        )
+        return gonio.measure(scene, 45, phi_i, seed=seed, **how)
 
     def turned(record, sectors):
         """Reads the map from the azimuth of the beam."""
         (tally,) = record.tallies
-        from dataclasses import replace
-
-        rolled = replace(
-            tally,
-            hits=np.roll(tally.hits, -sectors, axis=2),
-            sums=np.roll(tally.sums, -sectors, axis=3),
-        )
-        return replace(record, tallies=(rolled,))
+        hits = np.roll(tally.hits, -sectors, axis=2)
+        sums = np.roll(tally.sums, -sectors, axis=3)
+        return replace(record, tallies=(replace(tally, hits=hits, sums=sums),))
 
     first = at(0, 1)
     agree(verdict(difference_scores(first, turned(at(180, 2), 10))))
@@ -139,9 +130,8 @@ def test_anisotropic_lobe_follows_phi_i():
 
 def test_area_emitter_far_away_is_collimated():
     """Convergence: the maps come nearer as the emitter's angular size falls."""
-    collimated = gonio.measure(
-        {"type": "roughconductor", "alpha": 0.1}, 45, rays=10**6, footprint=0.5
-    )
+    metal = {"type": "roughconductor", "alpha": 0.1}
+    collimated = gonio.measure(metal, 45, rays=10**6, footprint=0.5)
     distances = []
     for radius in (4, 2, 0.01):
         _, record = render("area_emitter", radius=radius, rays=10**6)

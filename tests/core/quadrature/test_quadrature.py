@@ -22,6 +22,7 @@ from gonio_mi.quadrature import integrate
 from gonio_mi.quadrature.cells import CONFIRMING
 from gonio_mi.quadrature.evaluator import Evaluator, channels_of
 
+WHITE = {"type": "diffuse", "reflectance": 1.0}
 SHARP = {"type": "roughconductor", "alpha": 0.005}
 MATERIALS = {
     "roughplastic": {"type": "roughplastic", "alpha": 0.1},
@@ -50,9 +51,7 @@ def integrated(specimen, theta_i=40, phi_i=20, **settings):
 @pytest.mark.parametrize("collector", ["angle:9x20", "solid:30x30", "projected:30x7"])
 def test_lambertian(collector):
     """1/pi within the stated error, to which rounding of `eval` belongs."""
-    record = integrated(
-        {"type": "diffuse", "reflectance": 1.0}, 30, collector=collector
-    )
+    record = integrated(WHITE, 30, collector=collector)
     assert np.all(np.abs(record.brdf - 1 / np.pi) <= record.brdf_std_err)
     assert np.all(record.brdf_std_err <= REL_ERR * record.brdf)
     assert record.ledger.emitted == 0
@@ -100,7 +99,7 @@ def test_apertures_about_their_own_axes():
     assert abs(flux[0] - in_cone(half_angle)) < error[0, 0, 0]
     assert abs(flux[0] - in_cone(1.01 * half_angle)) > 100 * error[0, 0, 0]
     assert abs(flux.sum() - 1) < error.sum()
-    white = integrated({"type": "diffuse", "reflectance": 1.0}, 30, collector=cones)
+    white = integrated(WHITE, 30, collector=cones)
     assert np.all(np.abs(white.brdf - 1 / np.pi) <= white.brdf_std_err)
     # a lobe that is narrower than a cone, away from its axis
     aslant = gonio.Apertures(half_angle, ((43, 190),))
@@ -118,9 +117,8 @@ def test_apertures_as_deposited():
     settings = {"collector": cones, "hemispheres": "both"}
     exact = integrated(MATERIALS["roughdielectric"], 30, 0, rel_err=1e-4, **settings)
     points = {"estimator": "next_event", "trace": True, "sampler": "independent"}
-    rays = gonio.measure(
-        MATERIALS["roughdielectric"], 30, 0, rays=2**19, **points, **settings
-    )
+    settings |= points | {"rays": 2**19}
+    rays = gonio.measure(MATERIALS["roughdielectric"], 30, 0, **settings)
     for hemisphere, fraction in enumerate(exact.flux_fraction):
         reference = fraction[..., 0]
         agree(verdict(scores(rays, reference, hemisphere)))
@@ -144,7 +142,6 @@ def test_promised_error(name, theta_i):
     assert np.any(np.abs(twin.flux - tight.flux) > (asked[0] + least) * flux)
 
 
-@pytest.mark.usefixtures("rgb")
 @pytest.mark.parametrize("theta_i", [60, 89])
 @pytest.mark.parametrize("name", MATERIALS)
 def test_as_sampled(name, theta_i):
@@ -152,9 +149,8 @@ def test_as_sampled(name, theta_i):
     settings = {"collector": "projected:6x8", "rays": 10**6}
     exact = integrated(MATERIALS[name], theta_i, **settings)
     assert bool(exact.ledger.emitted) == (name not in NO_RAYS)
-    rays = gonio.measure(
-        MATERIALS[name], theta_i, 20, sampler="independent", **settings
-    )
+    settings["sampler"] = "independent"
+    rays = gonio.measure(MATERIALS[name], theta_i, 20, **settings)
     for hemisphere, fraction in enumerate(exact.flux_fraction):
         if name == "dielectric":  # one patch of each: the totals say it all
             continue
@@ -178,10 +174,8 @@ def test_delta_components_have_the_intervals_of_their_rays():
     np.testing.assert_array_equal(exact.counts, rays.counts)
     # rounding of the larger scale: of the sums, which the scatter is a part of
     rounding = 16 * np.finfo(float).eps * rays.dhr[0]
-    np.testing.assert_allclose(exact.dhr, rays.dhr, rtol=0, atol=rounding)
-    np.testing.assert_allclose(
-        exact.dhr_std_err, rays.dhr_std_err, rtol=0, atol=rounding
-    )
+    assert np.abs(exact.dhr - rays.dhr) <= rounding
+    assert np.abs(exact.dhr_std_err - rays.dhr_std_err) <= rounding
 
 
 @pytest.mark.parametrize(
@@ -353,17 +347,16 @@ def test_gradients():
     assert errors[1] < 0.35 * errors[0]
 
 
+CHECKS = {"type": "diffuse", "reflectance": {"type": "checkerboard"}}
+
+
 @pytest.mark.parametrize(
     ("specimen", "settings", "reason"),
     [
         ("scenes/micro_geometry.xml", {}, "a single flat rectangle"),
-        ({"type": "diffuse"}, {"trace": True}, "a single flat rectangle"),
-        ({"type": "diffuse"}, {"collector_radius": 10}, "far field"),
-        (
-            {"type": "diffuse", "reflectance": {"type": "checkerboard"}},
-            {},
-            "the same BSDF all over",
-        ),
+        (WHITE, {"trace": True}, "a single flat rectangle"),
+        (WHITE, {"collector_radius": 10}, "far field"),
+        (CHECKS, {}, "the same BSDF all over"),
     ],
 )
 def test_refused(specimen, settings, reason):
@@ -374,23 +367,18 @@ def test_refused(specimen, settings, reason):
 def test_what_does_not_converge_is_refused(monkeypatch):
     module = importlib.import_module("gonio_mi.quadrature.integrate")
     monkeypatch.setattr(module, "MAX_EVALUATIONS", 10**3)
-    with pytest.raises(
-        gonio.SpecimenError, match=r"must converge to 1e-05, but .* gave"
-    ):
+    said = r"must converge to 1e-05, but .* gave"
+    with pytest.raises(gonio.SpecimenError, match=said):
         integrated(SHARP, 60, rel_err=1e-5)
 
 
 @pytest.mark.parametrize("theta_i", [75, 80])
 def test_steps_between_the_nodes(theta_i):
     """Transmission ends at one polar angle: coarse patches are sums of fine ones."""
-    bsdf = mi.load_dict(
-        {"type": "roughdielectric", "alpha": 0.3, "distribution": "ggx"}
-    )
+    bsdf = mi.load_dict(GGX)
+    grids = (gonio.EqualProjectedSolidAngle(n, n) for n in (10, 20))
     coarse, fine = (
-        integrate(
-            bsdf, theta_i, 10, gonio.EqualProjectedSolidAngle(n, n), integral_err=1e-5
-        )
-        for n in (10, 20)
+        integrate(bsdf, theta_i, 10, grid, integral_err=1e-5) for grid in grids
     )
     flux, error = (
         array.reshape(2, 10, 2, 10, 2, 1).sum(axis=(2, 4))

@@ -95,14 +95,8 @@ def test_coarse_steps_are_warned_of():
     assert said(12) == said(16) == []
     # a part of 16 bits is as few as 8
     given = HeightMap(in_codes(waves(), 8), "a.png", codes=65535)
-    assert (
-        len(
-            topography(
-                given, Preparation(size=2.0, height_range=RANGE * 257)
-            ).concerns()
-        )
-        == 1
-    )
+    stretched = Preparation(size=2.0, height_range=RANGE * 257)
+    assert len(topography(given, stretched).concerns()) == 1
 
 
 @pytest.mark.needs("analysis")

@@ -18,17 +18,8 @@ SPACING = 0.01
 
 def fields(alpha_u, alpha_v, length, correlation, n):
     """Independent surfaces of 128 x 192 points."""
-    return [
-        gaussian_heights(
-            (128, 192),
-            SPACING,
-            (alpha_u, alpha_v),
-            length,
-            correlation=correlation,
-            seed=seed,
-        )
-        for seed in range(n)
-    ]
+    how = (128, 192), SPACING, (alpha_u, alpha_v), length
+    return [gaussian_heights(*how, correlation=correlation, seed=i) for i in range(n)]
 
 
 def mean_scores(samples, expected):
@@ -42,9 +33,8 @@ def mean_scores(samples, expected):
 @pytest.mark.parametrize(
     ("alphas", "correlation"),
     [
-        ((0.3, 0.3), "gaussian"),
+        *(((0.3,) * 2, c) for c in ("gaussian", "exponential")),
         ((0.2, 0.45), "gaussian"),
-        ((0.3, 0.3), "exponential"),
     ],
 )
 def test_slopes_are_those_asked_for(alphas, correlation):
@@ -118,12 +108,10 @@ def test_heights_repeat_and_differ():
     a, b = (gaussian_heights((32, 64), 0.1, (0.2, 0.2), 0.4, seed=3) for _ in range(2))
     assert np.array_equal(a, b)
     assert a.shape == (64, 32)
-    assert not np.array_equal(
-        a, gaussian_heights((32, 64), 0.1, (0.2, 0.2), 0.4, seed=4)
-    )
-    limited = gaussian_heights(
-        (64, 64), 0.1, (0.2, 0.2), 0.4, correlation="exponential", shortest=0.8
-    )
+    other = gaussian_heights((32, 64), 0.1, (0.2, 0.2), 0.4, seed=4)
+    assert not np.array_equal(a, other)
+    band = {"correlation": "exponential", "shortest": 0.8}
+    limited = gaussian_heights((64, 64), 0.1, (0.2, 0.2), 0.4, **band)
     k = np.hypot(*np.meshgrid(np.fft.fftfreq(64, 0.1), np.fft.fftfreq(64, 0.1)))
     power = np.abs(np.fft.fft2(limited)) ** 2
     # rounding: of amplitudes one unit for each row, squared; and of the wave numbers
@@ -164,16 +152,9 @@ def test_bad_input_is_one_sentence(settings, message):
 def test_mesh_is_the_grid(periodic):
     """Exact: vertices are the grid's points, and the borders of a period are equal."""
     z = np.arange(12.0).reshape(3, 4)
-    shape = mi.load_dict(
-        {
-            "type": "heightfield",
-            "heights": mi.TensorXf(z),
-            "scale": 0.5,
-            "size": 8.0,
-            "periodic": periodic,
-            "to_world": mi.ScalarTransform4f().translate([0, 0, 1]),
-        }
-    )
+    how = {"heights": mi.TensorXf(z), "scale": 0.5, "size": 8.0, "periodic": periodic}
+    how["to_world"] = mi.ScalarTransform4f().translate([0, 0, 1])
+    shape = mi.load_dict({"type": "heightfield", **how})
     points = np.array(mi.traverse(shape)["vertex_positions"]).reshape(-1, 3)
     n_y, n_x = (3 + periodic, 4 + periodic)
     assert len(points) == n_x * n_y
@@ -222,14 +203,8 @@ def test_smooth_normals_follow_the_surface():
     for n in (64, 128, 256):
         x = np.arange(n) / n
         z = np.tile(0.1 * np.sin(2 * np.pi * x), (n, 1))
-        shape = mi.load_dict(
-            {
-                "type": "heightfield",
-                "heights": mi.TensorXf(z),
-                "size": 1.0,
-                "face_normals": False,
-            }
-        )
+        how = {"heights": mi.TensorXf(z), "size": 1.0, "face_normals": False}
+        shape = mi.load_dict({"type": "heightfield", **how})
         scene = mi.load_dict({"type": "scene", "shape": shape})
         at = np.linspace(-0.49, 0.49, 501)
         ray = mi.Ray3f(mi.Point3f(at, 0.0123, 1.0), mi.Vector3f(0, 0, -1))
