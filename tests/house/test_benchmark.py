@@ -223,6 +223,15 @@ def compared(flux, exact):
     return verdict(normal_scores(t.ravel(), 15))
 
 
+@pytest.fixture
+def fewer_facets(monkeypatch):
+    """A quarter of them."""
+    monkeypatch.setattr(diffuse_facets, "CELLS", diffuse_facets.CELLS // 2)
+    monkeypatch.setattr(diffuse_facets, "SPACING", diffuse_facets.SPACING * 2)
+    heights = diffuse_facets._heights.__wrapped__
+    monkeypatch.setattr(diffuse_facets, "_heights", heights)
+
+
 def test_path_samples_of_the_groove():
     """Means of seeds agree with the radiosity at the same points; twin: 2 % more."""
     flux = of_seeds(renderers.path_samples(groove.walls), 256)
@@ -241,10 +250,11 @@ def test_path_samples_of_a_layer():
     disagree(compared(flux, np.roll(exact, 15, axis=1)))
 
 
+@pytest.mark.usefixtures("fewer_facets")
 def test_path_samples_of_facets():
     """Copies of a cell about one of them are as good as a period; twin: 4 % more."""
     shapes = {"facets": diffuse_facets.facets(diffuse_facets.COPIES)}
-    flux = grouped(of_seeds(renderers.path_samples(lambda: shapes, 2), 16), 5, 10)
+    flux = grouped(of_seeds(renderers.path_samples(lambda: shapes), 64), 5, 10)
     how = {"estimator": "next_event", "points": PATCHES.n_patches, "rays": 2**12}
     cell = {"type": "scene", "facets": diffuse_facets.facets()}
     (tally,) = gonio.measure(cell, THETA_I, period="box", **how).tallies
@@ -262,6 +272,7 @@ def test_path_samples_of_facets():
     disagree(judged(1.04))
 
 
+@pytest.mark.usefixtures("fewer_facets")
 def test_radiance_of_facets():
     """More samples come nearer to our reflectance; twin: not to that of a plate."""
     baseline = built(diffuse_facets.facets_of_radiance)
