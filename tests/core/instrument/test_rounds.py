@@ -17,7 +17,7 @@ from gonio_mi.campaigns.measure import measure_whole
 from gonio_mi.instrument import launcher, recording
 from gonio_mi.instrument.schedule import rounds
 
-PLASTIC = {"type": "roughplastic", "alpha": 0.2}
+MATT = {"type": "diffuse"}
 LONG = {"theta_i": 40, "rays": 40_003, "batches": 4, "collector": "projected:6x8"}
 
 
@@ -104,17 +104,17 @@ def test_ctrl_c_amid_long_batches(ctrl_c, trace, cuts):
     In the first round it holds the batches that have finished it.
     """
     settings = LONG | {"trace": trace}
-    whole = gonio.measure(PLASTIC, **settings)
+    whole = gonio.measure(MATT, **settings)
     for at, batches, each in cuts:
         ctrl_c(at)
-        part = interrupted(PLASTIC, **settings)
+        part = interrupted(MATT, **settings)
         assert rays_of(part) == [each] * batches
         assert part.ledger.emitted == each * batches
         ctrl_c(0)
         if batches == 4:
-            fewer = gonio.measure(PLASTIC, **settings | {"rays": 4 * each})
+            fewer = gonio.measure(MATT, **settings | {"rays": 4 * each})
             assert part.tallies == fewer.tallies
-        assert gonio.measure(PLASTIC, **settings, resume=part).tallies == whole.tallies
+        assert gonio.measure(MATT, **settings, resume=part).tallies == whole.tallies
 
 
 def test_late_ctrl_c_loses_an_eighth(ctrl_c, monkeypatch):
@@ -127,11 +127,11 @@ def test_late_ctrl_c_loses_an_eighth(ctrl_c, monkeypatch):
         return count(one)
 
     monkeypatch.setattr(launcher, "launch", counted)
-    gonio.measure(PLASTIC, **LONG)
+    gonio.measure(MATT, **LONG)
     for at in (len(sent) // 2, len(sent)):
         monkeypatch.setattr(launcher, "launch", count)
         ctrl_c(at)
-        part = interrupted(PLASTIC, **LONG)
+        part = interrupted(MATT, **LONG)
         lost = sum(sent[: at - 1]) - part.ledger.emitted
         assert 0 <= lost <= max(4 * 1024, part.ledger.emitted / 8)
 
@@ -154,17 +154,16 @@ def test_bits_hold_where_sums_are_rounded(ctrl_c, monkeypatch):
     np.testing.assert_allclose(other.dhr, whole.dhr, rtol=1e-14)
 
 
-def test_ctrl_c_in_a_stack_of_passes(ctrl_c, spectral):
+@pytest.mark.usefixtures("spectral")
+def test_ctrl_c_in_a_stack_of_passes(ctrl_c):
     """Five wavelengths, which the rays of two passes carry."""
-    del spectral
     settings = LONG | {"theta_i": [0, 50], "wavelengths": [450, 500, 550, 600, 650]}
-    whole = gonio.measure({"type": "diffuse"}, **settings)
+    whole = gonio.measure(MATT, **settings)
     ctrl_c(110)
-    part = interrupted({"type": "diffuse"}, **settings)
+    part = interrupted(MATT, **settings)
     ctrl_c(0)
     assert [t.n_batches for t in part.tallies] == [4, 4]
-    resumed = gonio.measure({"type": "diffuse"}, **settings, resume=part)
-    assert resumed.tallies == whole.tallies
+    assert gonio.measure(MATT, **settings, resume=part).tallies == whole.tallies
 
 
 def interrupted_once(function):
@@ -187,25 +186,25 @@ def test_ctrl_c_after_the_last_ray(ctrl_c, at, monkeypatch):
     Also if it is pressed for the second time.
     """
     ctrl_c(at)
-    expected = interrupted(PLASTIC, **LONG) if at else gonio.measure(PLASTIC, **LONG)
+    expected = interrupted(MATT, **LONG) if at else gonio.measure(MATT, **LONG)
     makes = recording._records
     monkeypatch.setattr(recording, "_records", interrupted_once(makes))
     ctrl_c(at)
-    part = interrupted(PLASTIC, **LONG)
+    part = interrupted(MATT, **LONG)
     assert part.tallies == expected.tallies
     monkeypatch.setattr(recording, "_records", interrupted_once(makes))
     ctrl_c(at)
     with pytest.raises(KeyboardInterrupt):  # who wants a whole is not told that it is
-        measure_whole(PLASTIC, **LONG)
+        measure_whole(MATT, **LONG)
     ctrl_c(0)
-    rest = gonio.measure(PLASTIC, **LONG, resume=part)
+    rest = gonio.measure(MATT, **LONG, resume=part)
     assert rest.ledger.emitted == LONG["rays"]
 
 
 def test_ctrl_c_before_the_precision_asked_for(ctrl_c):
     settings = {"theta_i": 40, "rel_err": 1e-3, "max_rays": 10**7}
     ctrl_c(25)
-    part = interrupted(PLASTIC, **settings)
+    part = interrupted(MATT, **settings)
     assert len(set(rays_of(part))) == 1
     assert part.settings["reached"] > 1e-3
 
@@ -216,15 +215,13 @@ def test_ctrl_c_while_rendering(ctrl_c, at, each, monkeypatch):
 
     Also if it is pressed when all rays are there.
     """
-    scene = mi.load_dict(
-        {
-            "type": "scene",
-            "integrator": {"type": "goniophotometer", "rays": 40_003, "batches": 4},
-            "sensor": {"type": "collector", "film": {"type": "patches"}},
-            "emitter": {"type": "directional", "direction": [0, 0, -1]},
-            "specimen": {"type": "rectangle"},
-        }
-    )
+    parts = {
+        "integrator": {"type": "goniophotometer", "rays": 40_003, "batches": 4},
+        "sensor": {"type": "collector", "film": {"type": "patches"}},
+        "emitter": {"type": "directional", "direction": [0, 0, -1]},
+        "specimen": {"type": "rectangle"},
+    }
+    scene = mi.load_dict({"type": "scene", **parts})
     if not at:
         makes = interrupted_once(recording._records)
         monkeypatch.setattr(recording, "_records", makes)
@@ -237,25 +234,19 @@ def test_ctrl_c_while_rendering(ctrl_c, at, each, monkeypatch):
     assert set(rays_of(record)) == each
 
 
-def test_some_whole_batches_are_refused():
+@pytest.mark.parametrize(("batches", "each"), [(3, 10_001), (4, 2000)])
+def test_other_batches_are_refused(batches, each):
     """Rounds send all batches alike."""
-    whole = gonio.measure(PLASTIC, **LONG)
-    shorter = gonio.measure(PLASTIC, **LONG | {"rays": 3 * 10_001, "batches": 3})
-    other = replace(whole, tallies=shorter.tallies)
-    with pytest.raises(ValueError, match="3 batches of up to 10001 rays instead of 4"):
-        gonio.measure(PLASTIC, **LONG, resume=other)
-
-
-def test_other_numbers_of_rays_are_refused():
-    whole = gonio.measure(PLASTIC, **LONG)
-    fewer = gonio.measure(PLASTIC, **LONG | {"rays": 4 * 2000})
-    other = replace(whole, tallies=fewer.tallies)
-    with pytest.raises(ValueError, match="4 batches of up to 2000 rays instead of 4"):
-        gonio.measure(PLASTIC, **LONG, resume=other)
+    whole = gonio.measure(MATT, **LONG)
+    fewer = LONG | {"rays": batches * each, "batches": batches}
+    other = replace(whole, tallies=gonio.measure(MATT, **fewer).tallies)
+    said = f"{batches} batches of up to {each} rays instead of 4"
+    with pytest.raises(ValueError, match=said):
+        gonio.measure(MATT, **LONG, resume=other)
 
 
 def test_command_keeps_whole_rounds(ctrl_c, tmp_path, capsys):
-    command = ["measure", "roughplastic:alpha=0.2", "--theta-i", "40", "-q"]
+    command = ["measure", "diffuse", "--theta-i", "40", "-q"]
     command += ["--rays", str(LONG["rays"]), "--collector", LONG["collector"]]
     command += ["--batches", "4"]
     part, rest = (str(tmp_path / f"{name}.npz") for name in ("part", "rest"))
@@ -267,17 +258,16 @@ def test_command_keeps_whole_rounds(ctrl_c, tmp_path, capsys):
     assert f"{emitted:,} rays; --resume".replace(",", " ") in said
     ctrl_c(0)
     assert cli.main([*command, "--resume", part, "-o", rest]) == 0
-    assert gonio.load(rest).tallies == gonio.measure(PLASTIC, **LONG).tallies
+    assert gonio.load(rest).tallies == gonio.measure(MATT, **LONG).tallies
 
 
 def test_other_wavelengths_are_refused(spectral):  # noqa: ARG001
     """Twin: the same ones are carried on."""
     few = {"theta_i": 40, "rays": 2000, "batches": 2, "collector": "projected:2x2"}
-    part = gonio.measure(PLASTIC, **few, wavelengths=[500, 600])
+    part = gonio.measure(MATT, **few, wavelengths=[500, 600])
     for nm in ([510, 700], [500], [500, 600, 700]):
-        with pytest.raises(
-            ValueError, match=r"made with channels=.*500nm.* instead of"
-        ):
-            gonio.measure(PLASTIC, **few, wavelengths=nm, resume=part)
-    again = gonio.measure(PLASTIC, **few, wavelengths=[500, 600], resume=part)
+        said = r"made with channels=.*500nm.* instead of"
+        with pytest.raises(ValueError, match=said):
+            gonio.measure(MATT, **few, wavelengths=nm, resume=part)
+    again = gonio.measure(MATT, **few, wavelengths=[500, 600], resume=part)
     assert again.tallies == part.tallies
