@@ -56,8 +56,8 @@ def main(argv: Sequence[str]) -> None:
     for name, what in PARTS.items():
         part.add_argument(f"--{name}", action="store_true", help=what)
     what = "memory and time per ray from 1e7 to RAYS (1e9), instead"
-    long = {"nargs": "?", "type": float, "const": 1e9, "metavar": "RAYS", "help": what}
-    part.add_argument("--long", **long)
+    long = part.add_argument("--long", type=float, metavar="RAYS", help=what)
+    long.nargs, long.const = "?", 1e9
     what = "what campaigns of this tolerance cost, beside grids; hours below 0.01"
     part.add_argument("--tolerance", type=float, metavar="X", help=what)
     add = parser.add_argument

@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from gonio_mi.array_types import Floats, Integers
+from gonio_mi.array_types import Floats
 from gonio_mi.campaigns.measure import measure
 from gonio_mi.collector import EqualProjectedSolidAngle, EqualSolidAngle, Subdivision
 from gonio_mi.collector.directions import direction
@@ -175,12 +175,12 @@ def numpy_rays() -> Baseline:
 
 
 @cache
-def _numba_loop() -> Callable[[int, int, int, int], Integers]:
+def _numba_loop() -> Callable[[int, int, int, int], Any]:
     """Compiled loop that threads may share, or ImportError without numba."""
     import numba
 
     @numba.njit(nogil=True, fastmath=True)
-    def _count(rays: int, seed: int, n_theta: int, n_phi: int) -> Integers:
+    def _count(rays: int, seed: int, n_theta: int, n_phi: int) -> Any:
         # numba knows the legacy generator only, one in each thread
         np.random.seed(seed)  # noqa: NPY002
         own = np.zeros(n_theta * n_phi, np.uint32)
@@ -202,7 +202,7 @@ def numba_rays() -> Baseline:
     count, n_parts = _numba_loop(), 16
 
     def _flux(rays: int, seed: int) -> Floats:
-        def _part(part: int) -> Integers:
+        def _part(part: int) -> Any:
             n = rays * (part + 1) // n_parts - rays * part // n_parts
             return count(n, seed * n_parts + part, *PATCHES.shape)
 

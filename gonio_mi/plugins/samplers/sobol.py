@@ -522,9 +522,7 @@ class Sobol(mi.Sampler):
         copy = self.fork()
         if self.wavefront_size():
             mi.Sampler.seed(copy, 0, self.wavefront_size())
-        copy.index, copy.key, copy.draw = self.index, self.key, self.draw
-        copy.sequences, copy.per_sequence = self.sequences, self.per_sequence
-        copy.keys = self.keys
+        copy.__dict__.update(vars(self))
         return copy
 
     def schedule_state(self) -> None:
