@@ -30,38 +30,32 @@ def incident_angles(
     there are any.
     """
     patches = checked_incident("incident", incident)
-    if theta_i is None and patches is not None:
-        if np.any(phi_i):
-            raise SettingError(
-                f"phi_i requires theta_i, got phi_i {shown(phi_i)} alone"
-            )
-        middles = np.degrees([angle.ravel() for angle in patches.middles])
-        return [(theta, phi % 360.0) for theta, phi in middles.T.tolist()], True
     if theta_i is None:
         if np.any(phi_i):
+            own = ", for the scene's own emitter has a direction"
             raise SettingError(
-                "phi_i requires theta_i, for the scene's own emitter has a direction, "
+                f"phi_i requires theta_i{own if patches is None else ''}, "
                 f"got phi_i {shown(phi_i)} alone"
             )
-        return [None], False
+        if patches is None:
+            return [None], False
+        middles = np.degrees([angle.ravel() for angle in patches.middles])
+        return [(theta, phi % 360.0) for theta, phi in middles.T.tolist()], True
     stacked = np.ndim(theta_i) > 0 or np.ndim(phi_i) > 0
-    polar = [
-        checked_number("theta_i", value, 0, 90, "an angle in degrees in [0, 90)")
-        for value in _sequence("theta_i", theta_i)
-    ]
+    polar = _angles("theta_i", theta_i, 0, 90, "an angle in degrees in [0, 90)")
     _warn_of_radians(polar)
-    azimuths = [
-        checked_number("phi_i", value, -np.inf, np.inf, "a finite angle in degrees")
-        for value in _sequence("phi_i", phi_i)
-    ]
+    azimuths = _angles("phi_i", phi_i, -np.inf, np.inf, "a finite angle in degrees")
     return [(theta, phi % 360.0) for theta in polar for phi in azimuths], stacked
 
 
-def _sequence(name: str, value: Any) -> list[Any]:
+def _angles(
+    name: str, value: Any, low: float, high: float, condition: str
+) -> list[float]:
+    """One or several angles as a list, each in ``[low, high)``."""
     values = [value] if np.ndim(value) == 0 else list(value)
     if not values:
         raise SettingError(f"{name} must hold at least one angle, got {shown(value)}")
-    return values
+    return [checked_number(name, one, low, high, condition) for one in values]
 
 
 def _warn_of_radians(polar: Sequence[float]) -> None:

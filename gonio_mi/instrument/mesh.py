@@ -102,13 +102,10 @@ def mesh(
     one_sided = not mi.has_flag(flags, mi.BSDFFlags.BackSide)
     if one_sided and not mi.has_flag(flags, mi.BSDFFlags.Transmission):
         bsdf = {"type": "twosided", "bsdf": dict(bsdf)}
-    shape = {
-        "type": MESHES[path.suffix.lower()],
-        "filename": str(path),
-        "face_normals": True,
-    }
-    if shape["type"] == "stl":
-        del shape["face_normals"]
+    kind = MESHES[path.suffix.lower()]
+    shape: dict[str, Any] = {"type": kind, "filename": str(path)}
+    if kind != "stl":
+        shape["face_normals"] = True
     lying = loaded(f"the mesh {path}", mi.load_dict, dict(shape))
     corners = np.array(bounds([lying]))
     if not (lying.face_count() and np.isfinite(corners).all()):

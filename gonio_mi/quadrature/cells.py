@@ -93,17 +93,6 @@ class Cells:
         theta = self.theta.mean(axis=1)
         return np.diff(self.theta)[:, 0] * np.diff(self.phi)[:, 0] * np.sin(theta)
 
-    @property
-    def cosine_change(self) -> Floats:
-        """By how much the cosine of the polar angle changes, relative to the middle."""
-        return -np.diff(np.cos(self.theta))[:, 0] / np.cos(self.theta.mean(axis=1))
-
-    @property
-    def lengths(self) -> tuple[Floats, Floats]:
-        """Lengths along polar angle and azimuth, in radians, about."""
-        sines = np.sin(self.theta.mean(axis=1))
-        return np.diff(self.theta)[:, 0], np.diff(self.phi)[:, 0] * sines
-
     def split(self, way: Integers) -> "Cells":
         """Four cells for each one, in its place, in the `way` of each."""
         parts = PARTS[way]
@@ -230,10 +219,6 @@ class Guides:
     cell: Integers
     theta: Floats
     phi: Floats
-
-    def held(self, n_cells: int) -> Integers:
-        """How many of them are in each cell."""
-        return np.bincount(self.cell, minlength=n_cells)
 
     def descend(
         self, cells: Cells, chosen: Flags, way: Integers, full: Flags

@@ -256,7 +256,8 @@ def _integrated(
     sums = _PatchSums(cells, len(lights), coarse.shape[-1], subdivision)
     finished: list[tuple[Cells, Flags]] = []
     for level in range(MAX_LEVELS):
-        full = guides.held(len(cells.patch)) > MAX_GUIDES
+        held = np.bincount(guides.cell, minlength=len(cells.patch))
+        full = held > MAX_GUIDES
         way[full] = QUARTERS
         parts = cells.split(way)
         fine, of_parts = evaluator.integrals(parts)
@@ -311,10 +312,13 @@ def _check_converged(
     each = zip(error.reshape(n, -1), allowed.reshape(n, -1), evaluator.n_evaluations)
     for wrong, right, n_evaluations in each:
         if not np.all(wrong <= right):
+            # where nothing is allowed and nothing wrong, none
+            ratio = np.where(wrong > 0, np.inf, 0)
+            np.divide(wrong, right, where=right > 0, out=ratio)
             raise SpecimenError(
                 f"the integral of {evaluator.bsdf.class_name()} over the patches must "
                 f"converge to {integral_err:g}, but {n_evaluations:.3g} evaluations "
-                f"gave {_worst(wrong, right) * integral_err:.2g} for the worst patch"
+                f"gave {ratio.max() * integral_err:.2g} for the worst patch"
             )
 
 
@@ -332,8 +336,11 @@ def _moved(cells: Cells, values: Floats, values_at: Singles) -> Floats:
         (at.max(axis=along) - at.min(axis=along)).mean(axis=(1, 2), dtype=float)
         for along in ((1, 3), (2, 4))
     )
-    theta -= cells.cosine_change[:, None] * values / cells.area[:, None]
-    across, along = (length[:, None] for length in cells.lengths)
+    middle = cells.theta.mean(axis=1, keepdims=True)
+    change = -np.diff(np.cos(cells.theta)) / np.cos(middle)
+    theta -= change * values / cells.area[:, None]
+    # lengths along polar angle and azimuth, in radians, about
+    across, along = np.diff(cells.theta), np.diff(cells.phi) * np.sin(middle)
     return np.maximum(theta, 0) * along + phi * across
 
 
@@ -388,12 +395,6 @@ class _PatchSums:
         n = len(self.flux)
         columns = [np.bincount(patch, one, minlength=n) for one in values.T]
         return np.stack(columns, axis=-1)
-
-
-def _worst(error: Floats, allowed: Floats) -> float:
-    """The largest ratio; where nothing is allowed and nothing wrong, none."""
-    ratio = np.where(error > 0, np.inf, 0)
-    return np.max(np.divide(error, allowed, where=allowed > 0, out=ratio))
 
 
 # ------------------------------------------------------------------------ the estimator

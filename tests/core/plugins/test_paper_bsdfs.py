@@ -24,7 +24,7 @@ from gonio_mi.plugins.phong_facets import averted_area, averted_area_table, mean
 from gonio_mi.quadrature.evaluator import square
 
 EPS = 2.0**-24  # largest relative rounding error of a float32 operation
-RAYS = 10**6
+RAYS = 2 * 10**6
 PHI_I = 25.0
 
 SPECIMENS = {
