@@ -10,6 +10,7 @@ import numpy as np
 
 from gonio_mi.campaigns.measure import measure
 from gonio_mi.errors import SpecimenError
+from gonio_mi.instrument.specimen_text import parse_specimen
 from gonio_mi.results.planning import precision
 from gonio_mi.results.prediction_error import expected_noise
 from gonio_mi.results.record import Record
@@ -45,19 +46,14 @@ def _gloss(alpha: float) -> dict[str, Any]:
 
 
 # Those of `notebooks/speed_accuracy.ipynb`, and geometry that is no mirror.
-SPECIMENS: dict[str, Callable[[], dict[str, Any]]] = {
-    "Lambertian": lambda: {"type": "diffuse"},
-    "rough conductor": lambda: _gloss(0.2),
-    "two-lobe plastic": lambda: {"type": "roughplastic", "alpha": 0.2},
-    "principled": lambda: {"type": "principled", "roughness": 0.3, "specular": 0.5},
-    "anisotropic conductor": lambda: {
-        "type": "roughconductor",
-        "alpha_u": 0.1,
-        "alpha_v": 0.4,
-        "distribution": "ggx",
-    },
-    "rough dielectric": lambda: {"type": "roughdielectric", "alpha": 0.3},
-    "smooth plastic": lambda: {"type": "plastic"},
+SPECIMENS: dict[str, str | Callable[[], dict[str, Any]]] = {
+    "Lambertian": "diffuse",
+    "rough conductor": "roughconductor:alpha=0.2,distribution=ggx",
+    "two-lobe plastic": "roughplastic:alpha=0.2",
+    "principled": "principled:roughness=0.3,specular=0.5",
+    "anisotropic conductor": "roughconductor:alpha_u=0.1,alpha_v=0.4,distribution=ggx",
+    "rough dielectric": "roughdielectric:alpha=0.3",
+    "smooth plastic": "plastic",
     "mirror field": lambda: _field({"type": "conductor", "specular_reflectance": 0.9}),
     "diffuse groove": lambda: {"type": "scene", **groove.walls()},
     "diffuse field": facets,
@@ -79,7 +75,7 @@ def print_auto_costs(
     found = expected_noise if wish == "noise" else lambda one: precision(one)[0]
     rows = []
     for name in names or SPECIMENS:
-        scene = mi.load_dict(_scene(SPECIMENS[name]()), optimize=False)
+        scene = mi.load_dict(_scene(SPECIMENS[name]), optimize=False)
         runs = {}
         for method, settings in METHODS.items():
             run = partial(_run, scene, settings, wish)
@@ -104,13 +100,13 @@ def print_auto_costs(
     print_table("Costs", header, rows)
 
 
-def _scene(specimen: dict[str, Any]) -> dict[str, Any]:
-    """Scene of a specimen, a flat rectangle of what is a BSDF."""
-    if specimen["type"] == "scene":
-        return specimen
-    if specimen["type"] != "heightfield":
-        specimen = {"type": "rectangle", "bsdf": specimen}
-    return {"type": "scene", "specimen": specimen}
+def _scene(specimen: str | Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """Scene of a specimen, a flat rectangle of what is a BSDF in one word."""
+    if isinstance(specimen, str):
+        shape = {"type": "rectangle", "bsdf": parse_specimen(specimen)}
+    else:
+        shape = specimen()
+    return shape if shape["type"] == "scene" else {"type": "scene", "specimen": shape}
 
 
 def _run(scene: Any, settings: dict[str, Any], wish: str, goal: float) -> Record:

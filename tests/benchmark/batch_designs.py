@@ -40,17 +40,9 @@ def measured(
 ) -> Floats:
     """BRDF and BTDF of one of the `MATERIALS`, shape (2, 30, 30, 1)."""
     specimen, theta_i = MATERIALS[material]
-    record: Any = measure(
-        specimen,
-        theta_i,
-        collector=PATCHES,
-        rays=round(rays),
-        batches=batches,
-        sampler=sampler,
-        seed=seed,
-        hemispheres="both",
-        footprint="point",
-    )
+    how: dict[str, Any] = {"collector": PATCHES, "hemispheres": "both"}
+    how |= {"footprint": "point", "sampler": sampler, "batches": batches, "seed": seed}
+    record: Any = measure(specimen, theta_i, rays=round(rays), **how)
     return np.stack([record.brdf, record.btdf])
 
 

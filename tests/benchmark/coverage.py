@@ -20,15 +20,8 @@ from .table import print_table
 LEVEL = 0.95
 
 # Rays of one measurement, and how often it is repeated with another seed.
-REPEATS = {
-    400: 100,
-    1_000: 100,
-    3_000: 60,
-    10_000: 60,
-    30_000: 30,
-    100_000: 30,
-    1_000_000: 12,
-}
+REPEATS = {400: 100, 1_000: 100, 3_000: 60, 10_000: 60}
+REPEATS |= {30_000: 30, 100_000: 30, 1_000_000: 12}
 
 # Rays of the truth, which is one long measurement, and its seed: no other one's.
 TRUTH_RAYS = 5 * 10**7
@@ -169,6 +162,7 @@ def _screen() -> dict[str, Any]:
     }
 
 
+METAL = {"type": "roughconductor", "alpha": 0.3, "distribution": "ggx"}
 PERIODIC = {"theta_i": 30, "collector": "projected:8x12", "period": "box"}
 CASES = {
     "flat": Case(
@@ -194,12 +188,7 @@ CASES = {
     "porous": Case(_screen, PERIODIC | {"period": "1,1"}),
     "dark": Case(lambda: _groove({"type": "diffuse", "reflectance": 0.01}), PERIODIC),
     "facets": Case(facets, PERIODIC),
-    "glossy": Case(
-        lambda: _groove(
-            {"type": "roughconductor", "alpha": 0.1, "distribution": "ggx"}
-        ),
-        PERIODIC,
-    ),
+    "glossy": Case(lambda: _groove(METAL | {"alpha": 0.1}), PERIODIC),
 }
 CASES["mirrors"] = Case(
     lambda: {
@@ -216,7 +205,6 @@ SPLIT: dict[str, Any] = {"estimators": (("split", "sobol"),), "orders": ("all",)
 CASES["mirrors, 75 degrees"] = replace(
     CASES["mirrors"], settings=CASES["mirrors"].settings | {"theta_i": 75}
 )
-METAL = {"type": "roughconductor", "alpha": 0.3, "distribution": "ggx"}
 CASES["split, grey grooves"] = Case(
     lambda: _groove({"type": "diffuse", "reflectance": 0.8}), PERIODIC, **SPLIT
 )
@@ -244,10 +232,7 @@ POINTS: dict[str, Any] = {
     "most_rays": 10_000,
 }
 CASES["dark, 96 points"] = replace(CASES["dark"], **POINTS)
-CASES["lobes, 96 points"] = Case(
-    lambda: _groove({"type": "roughconductor", "alpha": 0.05, "distribution": "ggx"}),
-    **POINTS,
-)
+CASES["lobes, 96 points"] = Case(lambda: _groove(METAL | {"alpha": 0.05}), **POINTS)
 
 
 @cache

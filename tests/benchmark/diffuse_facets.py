@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -77,15 +78,7 @@ def facets_of_radiance() -> Baseline:
     def _flux(samples: int, seed: int) -> Floats:
         return every.flux(samples, seed)[0]
 
-    return Baseline(
-        every.name,
-        _flux,
-        KLEMS,
-        size=every.size,
-        first=every.first,
-        incident=every.incident,
-        random=False,
-    )
+    return replace(every, flux=_flux)
 
 
 def _ours(patches: Subdivision, **settings: Any) -> list[tuple[Baseline, Floats]]:
@@ -93,15 +86,8 @@ def _ours(patches: Subdivision, **settings: Any) -> list[tuple[Baseline, Floats]
     scene = mi.load_dict({"type": "scene", "facets": facets()})
     settings = {"period": "box", "footprint": "full"} | settings
     many: dict[str, Any] = {"points": patches.n_patches}
-    truth: Any = measure(
-        scene,
-        collector=patches,
-        estimator="next_event",
-        rays=TRUTH_RAYS,
-        seed=TRUTH_SEED,
-        **many,
-        **settings,
-    )
+    long = many | settings | {"estimator": "next_event", "seed": TRUTH_SEED}
+    truth: Any = measure(scene, collector=patches, rays=TRUTH_RAYS, **long)
     exact = truth.flux_fraction[0, ..., 0]
     common: dict[str, Any] = {"batches": 16, "subdivision": patches, **settings}
     return [

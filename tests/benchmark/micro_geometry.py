@@ -33,12 +33,8 @@ MAX_DEPTH = 1000
 def surface(resolution: int, alpha: float = 0.5) -> dict[str, Any]:
     """Height field of ``resolution x resolution`` cells as a Mitsuba dictionary."""
     mirror = {"type": "twosided", "bsdf": {"type": "conductor"}}
-    return {
-        "type": "heightfield",
-        "alpha": alpha,
-        "resolution": resolution,
-        "bsdf": mirror,
-    }
+    field = {"type": "heightfield", "alpha": alpha, "resolution": resolution}
+    return field | {"bsdf": mirror}
 
 
 def gonio_paths(
@@ -154,18 +150,13 @@ def film_paths(resolution: int, coherent: bool) -> Callable[[int, int], float]:
     callable
         ``send(paths, seed)`` gives the mean radiance that the film received.
     """
-    scene = mi.load_dict(
-        {
-            "type": "scene",
-            "integrator": {
-                "type": "path",
-                "max_depth": MAX_DEPTH,
-                "rr_depth": MAX_DEPTH,
-            },
-            "light": {"type": "constant", "radiance": 1.0},
-            "surface": surface(resolution),
-        }
-    )
+    depths = {"max_depth": MAX_DEPTH, "rr_depth": MAX_DEPTH}
+    parts = {
+        "integrator": {"type": "path", **depths},
+        "light": {"type": "constant", "radiance": 1.0},
+        "surface": surface(resolution),
+    }
+    scene = mi.load_dict({"type": "scene", **parts})
 
     def _send(paths: int, seed: int) -> float:
         side = round(paths**0.5) if coherent else 1
@@ -185,19 +176,10 @@ def _film(scene: mi.Scene, side: int) -> mi.Sensor:
     to_world = mi.ScalarTransform4f().look_at(
         (top + 4 * towards).tolist(), top.tolist(), [0, 1, 0]
     )
-    film = {
-        "type": "hdrfilm",
-        "width": side,
-        "height": side,
-        "pixel_format": "luminance",
-    }
-    return mi.load_dict(
-        {
-            "type": "orthographic",
-            "to_world": to_world.scale([np.cos(np.radians(THETA_I)), 1, 1]),
-            "film": film | {"rfilter": {"type": "box"}},
-        }
-    )
+    to_world = to_world.scale([np.cos(np.radians(THETA_I)), 1, 1])
+    film = {"type": "hdrfilm", "width": side, "height": side}
+    film |= {"pixel_format": "luminance", "rfilter": {"type": "box"}}
+    return mi.load_dict({"type": "orthographic", "to_world": to_world, "film": film})
 
 
 def print_speeds(
@@ -210,31 +192,20 @@ def print_speeds(
 
 def _print_speeds(rays: int, repeats: int, resolution: int) -> None:
     """Print paths per second on one surface."""
+    ours = partial(gonio_paths, resolution)
+    sixteen, curve = "gonio-mi, 16 batches", "along a curve (sobol)"
     ways = {
-        ("gonio-mi, 16 batches", "random origins (independent)"): gonio_paths(
-            resolution, "independent", 16
-        ),
-        ("gonio-mi, 16 batches", "along a curve (sobol)"): gonio_paths(
-            resolution, "sobol", 16
-        ),
-        ("gonio-mi, one batch", "along a curve (sobol)"): gonio_paths(
-            resolution, "sobol", 1
-        ),
-        ("gonio-mi, 16 batches", "the same, one periodic cell"): gonio_paths(
-            resolution, "sobol", 16, period="box"
-        ),
-        ("Embree alone", "along a curve (sobol)"): bare_paths(resolution, rows=False),
+        (sixteen, "random origins (independent)"): ours("independent", 16),
+        (sixteen, curve): ours("sobol", 16),
+        ("gonio-mi, one batch", curve): ours("sobol", 1),
+        (sixteen, "the same, one periodic cell"): ours("sobol", 16, period="box"),
+        ("Embree alone", curve): bare_paths(resolution, rows=False),
         ("Embree alone", "in rows"): bare_paths(resolution, rows=True),
-        ("Mitsuba path", "random film positions, one pixel"): film_paths(
-            resolution, coherent=False
-        ),
-        ("Mitsuba path", "one path per pixel, in rows"): film_paths(
-            resolution, coherent=True
-        ),
     }
-    times = in_turns(
-        {key: partial(send, rays, 0) for key, send in ways.items()}, repeats
-    )
+    for way in ("random film positions, one pixel", "one path per pixel, in rows"):
+        ways["Mitsuba path", way] = film_paths(resolution, coherent="rows" in way)
+    runs = {key: partial(send, rays, 0) for key, send in ways.items()}
+    times = in_turns(runs, repeats)
     print_table(
         f"Mirror height field of {resolution}^2 cells, alpha 0.5, at {THETA_I:g} "
         f"degrees, every bounce: {rays:g} paths, medians of {repeats} runs in turns",

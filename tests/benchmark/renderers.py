@@ -82,12 +82,8 @@ def _path_scene(
     points = PATCHES.points(n).reshape(-1, 3)
     film = {"type": "hdrfilm", "height": 1, "rfilter": {"type": "box"}}
     # sensors in a batch do not learn of the scene's size: rays start on the target
-    target = mi.load_dict(
-        {
-            "type": "rectangle",
-            "to_world": mi.ScalarTransform4f().translate([0, 0, 1e-3]),
-        }
-    )
+    at = mi.ScalarTransform4f().translate([0, 0, 1e-3])
+    target = mi.load_dict({"type": "rectangle", "to_world": at})
     batch: dict[str, Any] = {
         "type": "batch",
         "film": film | {"width": len(points)},
@@ -100,20 +96,16 @@ def _path_scene(
             "target": target,
             "film": film | {"width": 1},
         }
+    flight = (-direction(np.radians(THETA_I), 0.0)).tolist()
+    parts = {
+        # as many events as there are
+        "integrator": {"type": integrator, "max_depth": MAX_DEPTH},
+        "light": {"type": "directional", "direction": flight},
+        "sensor": batch,
+        **shapes(),
+    }
     with _errors_only():  # every film warns of the variant
-        return mi.load_dict(
-            {
-                "type": "scene",
-                # as many events as there are
-                "integrator": {"type": integrator, "max_depth": MAX_DEPTH},
-                "light": {
-                    "type": "directional",
-                    "direction": (-direction(np.radians(THETA_I), 0.0)).tolist(),
-                },
-                "sensor": batch,
-                **shapes(),
-            }
-        )
+        return mi.load_dict({"type": "scene", **parts})
 
 
 @contextlib.contextmanager
@@ -183,12 +175,5 @@ def radiance_genbsdf(
         matrix = np.array(result.back.reflectance.split(), dtype=float)
         return matrix.reshape(145, 145).T[..., None]
 
-    return Baseline(
-        "Radiance genBSDF, Klems",
-        _flux,
-        KLEMS,
-        size="samples",
-        first=16,
-        incident=145,
-        random=False,
-    )
+    how: dict[str, Any] = {"first": 16, "incident": 145, "random": False}
+    return Baseline("Radiance genBSDF, Klems", _flux, KLEMS, size="samples", **how)

@@ -25,6 +25,7 @@ from gonio_mi.exchange.exports import bsdf
 from gonio_mi.exchange.formats import radiance
 
 from .table import print_table
+from .timing import cpu_seconds
 
 REFLECTANCE = 0.6
 
@@ -131,14 +132,15 @@ def compared(name: str, samples: int) -> list[list[Any]]:
     quads = SPECIMENS[name]()
     truth = ours(quads, REFERENCE, 1)
     rows = [_row(name, "reference", REFERENCE, truth, truth, None)]
-    before = _cpu()
+    before = cpu_seconds()
     other = theirs(quads, samples)
-    rows.append(_row(name, "genBSDF", samples, other, truth, _cpu() - before))
+    seconds = cpu_seconds() - before
+    rows.append(_row(name, "genBSDF", samples, other, truth, seconds))
     goal, rays = misplaced(other, truth), FIRST
     while True:
-        before = _cpu()
+        before = cpu_seconds()
         found = ours(quads, rays, 0)
-        seconds = _cpu() - before
+        seconds = cpu_seconds() - before
         if misplaced(found, truth) <= goal or rays >= REFERENCE:
             break
         rays *= 2
@@ -160,12 +162,6 @@ def _row(
     straight = found["Transmission Back"][0, 0]
     error = misplaced(found, truth) if found is not truth else None
     return [name, program, size, error, *totals, straight, seconds]
-
-
-def _cpu() -> float:
-    """CPU seconds of this process and of those that it has started."""
-    times = os.times()
-    return sum(times[:4])
 
 
 def main(argv: Sequence[str]) -> None:
