@@ -180,6 +180,20 @@ def scores(record, reference, hemisphere=0, channel=0, keep=None):
     return normal_scores((values.mean(axis=0) - group(reference)) / std_err, n - 1)
 
 
+def of_total(record, expected, of="dhr", channel=0):
+    """Verdict on a total of a record, which is normal over its batches."""
+    off = getattr(record, of)[channel] - expected
+    t = off / getattr(record, f"{of}_std_err")[channel]
+    return single(normal_scores(t, record.n_batches - 1).item())
+
+
+def two_sample(a, b):
+    """Verdict on two independent histograms of equally many rays."""
+    keep = a + b > 100
+    a, b = a[keep], b[keep]
+    return verdict((a - b) / np.sqrt(a + b))
+
+
 def difference_scores(a, b, hemisphere=0, channel=0, keep=None):
     """Normal scores of two records' difference; both have the same batches and rays."""
     first, group = batch_groups(a, hemisphere, channel, keep)

@@ -13,6 +13,7 @@ import numpy as np
 from ..array_types import Flags, Integers
 from ..results.tally import Fate
 from ..settings.values import ALL_ORDERS, UNLIMITED, Order
+from .rays import leaves_by_a_side
 
 
 @dataclass
@@ -57,19 +58,19 @@ class Exits:
 
 
 def exits_of(
+    specimen: Any,
     flight: Any,
-    by_a_side: mi.Bool,
     throughput: mi.Spectrum,
     fate: mi.UInt32,
     incident: mi.UnpolarizedSpectrum,
     depth: mi.UInt32,
 ) -> Exits:
-    """Exits of rays at the end of their flight, whether by a side of the box or not."""
+    """Exits of rays at the end of their flight."""
     ray = flight.ray
     incident = dr.select(fate == mi.UInt32(Fate.MISSED), 0.0, incident)
-    p = ray.o + flight.shift
-    leaves = p, ray.d, throughput, fate, incident, depth
-    return Exits(*leaves, over_the_edge=by_a_side)
+    leaves = ray.o + flight.shift, ray.d, throughput, fate, incident, depth
+    by_a_side = leaves_by_a_side(specimen, ray.o, ray.d)
+    return Exits(*leaves, flight=flight, over_the_edge=by_a_side)
 
 
 def of_order(exits: Exits, order: Order) -> Exits:

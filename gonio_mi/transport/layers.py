@@ -149,11 +149,6 @@ class Layers:
         ray.o[active] = p
         ray.d[active] = _not_level(wo)
 
-    def by_a_side(self, flight: LayerFlight) -> mi.Bool:
-        """Whether rays left by a side: there is none."""
-        del flight
-        return mi.Bool(False)
-
 
 def layers_of(specimen: Any, side: int) -> Layers | None:
     """:class:`Layers` of a specimen that is nothing else, and else None.

@@ -24,15 +24,7 @@ from .beam import Beam
 from .exits import exits_of
 from .layers import Layers
 from .media import differ_by_channel
-from .rays import (
-    Encounter,
-    Flight,
-    encounter,
-    flight_from,
-    intersect,
-    leaves_by_a_side,
-    proceed,
-)
+from .rays import Encounter, Flight, encounter, flight_from, intersect, proceed
 from .specimen import Specimen
 from .surface_events import (
     after_event,
@@ -235,10 +227,6 @@ class Geometry:
         flight.again[active] = mi.Bool(False)
         flight.cells[active] = mi.UInt32(0)
 
-    def by_a_side(self, flight: Flight) -> mi.Bool:
-        """Whether rays left by a side of the bounding box."""
-        return leaves_by_a_side(self.specimen, flight.ray.o, flight.ray.d)
-
 
 @dr.syntax
 def trace_inside(
@@ -263,6 +251,7 @@ def trace_inside(
     analog, roulette = counted and not apart, settings.roulette
     n = len(mi.Spectrum())
     passed = Fate.DIRECT if specimen.periodic else Fate.MISSED
+    ctx = mi.PhaseFunctionContext(None, mi.TransportMode.Importance)
 
     max_depth = dr.opaque(mi.UInt32, settings.max_depth)
     max_scatterings = dr.opaque(mi.UInt32, settings.max_scatterings)
@@ -334,8 +323,10 @@ def trace_inside(
         # ------------------------------- Scattering -----------------------------------
         u1, u2 = sampler.next_1d(event), sampler.next_2d(event)
         bs, event_weight, wo = scattered(si.bsdf(ray), si, ray, u1, u2, at_surface)
-        power = mi.Spectrum(1) if apart else step.power
-        phase_wo, phase_weight, pdf = _turned(medium, step.at, power, u1, u2, in_medium)
+        phase_wo, phase_weight, pdf = medium.phase_function().sample(
+            ctx, step.at, u1, u2, in_medium
+        )
+        phase_weight *= mi.Spectrum(1) if apart else step.power
         wo = dr.select(in_medium, phase_wo, wo)
         event_weight = dr.select(in_medium, phase_weight, event_weight)
         bs.pdf = dr.select(in_medium, pdf, bs.pdf)
@@ -385,24 +376,9 @@ def trace_inside(
                 left = whole_number(left, sampler.next_1d(), sampler.next_1d())
             none = (fate == mi.UInt32(Fate.REFLECTED)) & ~dr.any(left > 0)
             last = dr.select(none, mi.UInt32(Fate.ABSORBED_INSIDE), fate)
-            sides = path.by_a_side(flight)
             relay.arrive(
-                which, exits_of(flight, sides, left, last, incident, scatterings)
+                which, exits_of(specimen, flight, left, last, incident, scatterings)
             )
-
-
-def _turned(
-    medium: mi.MediumPtr,
-    at: mi.MediumInteraction3f,
-    power: mi.Spectrum,
-    u1: mi.Float,
-    u2: mi.Point2f,
-    active: mi.Bool,
-) -> tuple[mi.Vector3f, mi.Spectrum, mi.Float]:
-    """Direction after a scattering inside, weight times `power`, and density."""
-    ctx = mi.PhaseFunctionContext(None, mi.TransportMode.Importance)
-    wo, weight, pdf = medium.phase_function().sample(ctx, at, u1, u2, active)
-    return wo, weight * power, pdf
 
 
 def _faint(power: mi.Spectrum, due: mi.Bool) -> mi.Float:

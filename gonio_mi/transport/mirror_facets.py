@@ -52,19 +52,14 @@ def has_mirror_facets(setup: Setup) -> bool:
         return False
     if not settings.order.least <= 1 <= settings.order.most:
         return False
-    mesh = specimen.surfaces[0]
-    if not is_mirror(mesh.bsdf()) or not specimen.is_height_map:
+    mesh, flags = specimen.surfaces[0], mi.BSDFFlags
+    others = flags.Smooth, flags.Null, flags.Delta1D, flags.DeltaTransmission
+    lobes = mesh.bsdf().flags()
+    if not mi.has_flag(lobes, flags.DeltaReflection):
+        return False
+    if any(mi.has_flag(lobes, one) for one in others) or not specimen.is_height_map:
         return False
     return not mesh.has_vertex_normals()
-
-
-def is_mirror(bsdf: mi.BSDF) -> bool:
-    """Whether a BSDF reflects in the mirror direction, and does nothing else."""
-    flags = mi.BSDFFlags
-    others = flags.Smooth, flags.Null, flags.Delta1D, flags.DeltaTransmission
-    return mi.has_flag(bsdf.flags(), flags.DeltaReflection) and not any(
-        mi.has_flag(bsdf.flags(), one) for one in others
-    )
 
 
 class MirrorFacets:

@@ -14,15 +14,7 @@ from .beam import Beam
 from .exits import Exits, exits_of
 from .plane import Plane, repeated
 from .polarisation import in_instrument_frames, new_light
-from .rays import (
-    START,
-    Flight,
-    encounter,
-    flight_from,
-    intersect,
-    leaves_by_a_side,
-    proceed,
-)
+from .rays import START, Flight, encounter, flight_from, intersect, proceed
 from .specimen import Specimen
 from .surface_events import (
     after_event,
@@ -99,7 +91,11 @@ def trace(
     `deposits`, a :class:`~.next_event.Deposits`, is told of every event. Rays that were
     `begun` have one event behind them; their power is beside their flight.
     """
-    flight, power = begun or _begun(specimen, beam, sampler, wavelengths, settings)
+    if dr.hint(begun is None, mode="scalar"):
+        ray, power = sent(specimen, beam, sampler, wavelengths, settings.analog)
+        flight = flight_from(specimen, ray)
+    else:
+        flight, power = begun
     β = new_light(power)
     scene = specimen.scene
     analog, roulette = settings.analog, settings.roulette
@@ -169,24 +165,10 @@ def trace(
         proceed(specimen, flight, si, met, active, wo)
         active |= met.goes_on
 
-    by_a_side = leaves_by_a_side(specimen, flight.ray.o, flight.ray.d)
-    exits = exits_of(flight, by_a_side, β, fate, incident, depth)
-    exits.flight = flight
+    exits = exits_of(specimen, flight, β, fate, incident, depth)
     if deposits is not None:
         exits.left, exits.density = left, density
     return exits
-
-
-def _begun(
-    specimen: Specimen,
-    beam: Beam,
-    sampler: mi.Sampler,
-    wavelengths: mi.Spectrum,
-    settings: PathSettings,
-) -> tuple[Flight, mi.UnpolarizedSpectrum]:
-    """Flight of new rays, and their power."""
-    ray, power = sent(specimen, beam, sampler, wavelengths, settings.analog)
-    return flight_from(specimen, ray), power
 
 
 def sent(

@@ -7,6 +7,7 @@ import mitsuba as mi
 import numpy as np
 
 from gonio_mi.collector.directions import direction
+from gonio_mi.mitsuba_compat import mesh_of, triangles_of
 from gonio_mi.results.tally import Fate
 from gonio_mi.settings.values import checked_period
 from gonio_mi.transport.beam import Beam
@@ -14,7 +15,13 @@ from gonio_mi.transport.rays import NEARBY
 from gonio_mi.transport.specimen import Specimen
 from gonio_mi.transport.surface_loop import PathSettings, trace
 
-MIRROR = {"type": "twosided", "bsdf": {"type": "conductor"}}
+
+def both_sided(bsdf):
+    return {"type": "twosided", "bsdf": bsdf}
+
+
+MIRROR = both_sided({"type": "conductor"})
+GREY = both_sided({"type": "diffuse", "reflectance": 0.8})
 
 
 @dataclass
@@ -90,10 +97,10 @@ def resumed_in_line(specimen, si, d, behind):
 
 
 def specimen_of(shapes, period):
-    """Specimen of a shape, or of a dictionary of several."""
-    if "type" in shapes:
+    """Specimen of a shape, of a dictionary of several, or of a scene's."""
+    if shapes.get("type", "scene") != "scene":
         shapes = {"shape": shapes}
-    scene = mi.load_dict({"type": "scene", **shapes}, optimize=False)
+    scene = mi.load_dict({"type": "scene"} | shapes, optimize=False)
     return Specimen(scene, checked_period("period", period))
 
 
@@ -134,6 +141,32 @@ def grooves(half_angle, n_grooves, scale=1.0, bsdf=MIRROR):
         bsdf=bsdf,
         transform=mi.ScalarTransform4f().scale(scale),
     )
+
+
+def spheres_on_a_plane():
+    """Spheres of which a plane hides the lower halves, in cells of 2 x 2."""
+    down = mi.ScalarTransform4f().translate([0, 0, -1])
+    return {
+        "type": "scene",
+        "sphere": {"type": "sphere", "center": [0, 0, -1], "bsdf": GREY},
+        "plane": {"type": "rectangle", "to_world": down, "bsdf": GREY},
+    }
+
+
+def lamp(radius=2.0, distance=5.0):
+    """Disk above the specimen that faces it."""
+    above = mi.ScalarTransform4f().translate([0, 0, distance]).rotate([1, 0, 0], 180)
+    emitter = {"type": "area", "radiance": 1.0}
+    return {"type": "disk", "to_world": above.scale(radius), "emitter": emitter}
+
+
+def mesh(points, faces, bsdf=None, **others):
+    """Mesh of points and triangles, which may have normals."""
+    points, faces = np.float32(points).reshape(-1, 3), np.array(faces, np.uint32)
+    made = mesh_of(mi.Properties("ply"), "mesh", points, faces, **others)
+    if bsdf is not None:
+        made.set_bsdf(bsdf)
+    return made
 
 
 # -------------------------------------------------------------- rays in two dimensions
@@ -258,12 +291,6 @@ def _diffuse_groove(half_angle, theta, n_nodes):
 
 def with_faces(shape, change):
     """The same mesh with other triangles, an array of shape (n, 3)."""
-    mesh = mi.load_dict(shape)
-    faces = np.array(change(np.array(mi.traverse(mesh)["faces"]).reshape(-1, 3)))
-    other = mi.Mesh("changed", mesh.vertex_count(), len(faces))
-    parameters = mi.traverse(other)
-    parameters["vertex_positions"] = mi.traverse(mesh)["vertex_positions"]
-    parameters["faces"] = faces.ravel()
-    parameters.update()
-    other.set_bsdf(mesh.bsdf())
-    return other
+    before = mi.load_dict(shape)
+    points, faces = triangles_of(mi.traverse(before))
+    return mesh(points, change(np.array(faces)), before.bsdf())

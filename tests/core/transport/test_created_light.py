@@ -19,7 +19,6 @@ def diffuse(reflectance):
     }
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("estimator", ["weighted", "quadrature"])
 @pytest.mark.parametrize("reflectance", [1.7, 1.001])
 def test_a_reflectance_above_one_is_told(estimator, reflectance):
@@ -29,7 +28,6 @@ def test_a_reflectance_above_one_is_told(estimator, reflectance):
         gonio.measure(diffuse(reflectance), 30, **settings)
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize(
     ("specimen", "sampler"),
     [

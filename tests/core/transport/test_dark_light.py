@@ -4,73 +4,63 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from budget import Verdict, agree, disagree, normal_scores, single, verdict
+from budget import Verdict, agree, disagree, normal_scores, of_total, single, verdict
 from scipy.stats import poisson
-from specimens import diffuse_groove_dhr, diffuse_groove_order, grooves
+from specimens import (
+    both_sided,
+    diffuse_groove_dhr,
+    diffuse_groove_order,
+    grooves,
+    lamp,
+)
 
 import gonio_mi as gonio
 from gonio_mi.instrument.launcher import LaunchSize
 from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.results.tally import WEIGHT_SCALE
 from gonio_mi.transport.sums import LEVELS, ONE, Digits, Exact, unit_of
-from gonio_mi.transport.surface_events import RARE, whole_number
+from gonio_mi.transport.surface_events import RARE as RARE_CHANCE, whole_number
 
 EPS32 = float(np.finfo(np.float32).eps)
 
 
 def filters(n, transmittance):
     """Scene of `n` parallel clear plates that reflect nothing."""
-    bsdf = {
-        "type": "thindielectric",
-        "int_ior": 1.0,
-        "ext_ior": 1.0,
-        "specular_transmittance": transmittance,
-    }
-    plates = {
-        f"plate{i}": {
-            "type": "rectangle",
-            "to_world": mi.ScalarTransform4f().translate([0, 0, -0.1 * i]),
-            "bsdf": bsdf,
-        }
-        for i in range(n)
-    }
-    return {"type": "scene"} | plates
+    bsdf = {"type": "thindielectric", "int_ior": 1.0, "ext_ior": 1.0}
+    bsdf["specular_transmittance"] = transmittance
+    places = [mi.ScalarTransform4f().translate([0, 0, -0.1 * i]) for i in range(n)]
+    plates = [{"type": "rectangle", "to_world": one, "bsdf": bsdf} for one in places]
+    return {"type": "scene"} | {f"plate{i}": one for i, one in enumerate(plates)}
 
 
 def matte(reflectance):
     return {"type": "diffuse", "reflectance": reflectance}
 
 
+def groove(rho, half_angle=40):
+    return grooves(half_angle, 1, bsdf=both_sided(matte(rho)))
+
+
 # ------------------------------------------------------------------ the sums themselves
 
 
-POWERS = [
-    1.0,
-    0.3,
-    2**-13,
-    2**-13.01,
-    7.99,
-    8.0,
-    1e-6,
-    1e-12,
-    1e-30,
-    1.2e-38,
-    3e5,
-    1e30,
-]
+ORDINARY = [1.0, 0.3, 2**-13, 7.99]
+RARE = [2**-13.01, 8.0, 1e-6, 1e-12, 1e-30, 1.2e-38, 3e5, 1e30]
 
 
-def test_every_power_is_a_whole_number(mono):  # noqa: ARG001
+def test_every_power_is_a_whole_number():
     """Exact: as ordinary numbers or in their level; what is no power is neither."""
-    powers = np.array([*POWERS, 0.0, -0.0, -1.0, np.inf, np.nan], np.float32)
+    powers = [*ORDINARY, *RARE, 0.0, -0.0, -1.0, np.inf, np.nan]
+    powers = np.array(powers, np.float32)
     digits = Digits(mi.Float(powers))
     ordinary, rare = np.array(digits.ordinary), np.array(digits.rare)
     number = np.array(digits.number()) / ONE
     level = np.array(digits.level())
     in_level = np.array(digits.number_in_level())
+    n, m = len(ORDINARY), len(RARE)
+    assert np.flatnonzero(ordinary).tolist() == [*range(n)]
+    assert np.flatnonzero(rare).tolist() == [*range(n, n + m)]
     for i, power in enumerate(powers.tolist()):
-        assert ordinary[i] == (2**-13 <= power < 8)
-        assert rare[i] == (0 < power < 2**-13 or 8 <= power < np.inf)
         assert number[i] == (power if ordinary[i] else 0)
         if rare[i] or ordinary[i]:
             assert level[i] < LEVELS
@@ -92,7 +82,7 @@ def test_a_launch_of_the_largest_ordinary_powers_does_not_overflow():
 
 @pytest.mark.parametrize("transmittance", [0.3, 1e-4, 1e-9, 1e-30])
 @pytest.mark.parametrize("n", [1, 4])
-def test_filters_multiply(transmittance, n, mono):  # noqa: ARG001
+def test_filters_multiply(transmittance, n):
     """Transmittance of n filters: T^n; rounding: of n products in single precision."""
     expected = transmittance**n
     record = gonio.measure(filters(n, transmittance), 0, rays=1000, batches=4)
@@ -105,7 +95,7 @@ def test_filters_multiply(transmittance, n, mono):  # noqa: ARG001
 
 
 @pytest.mark.parametrize("transmittance", [0.3, 1e-9, 1e-30])
-def test_russian_roulette_in_the_dark(transmittance, mono):  # noqa: ARG001
+def test_russian_roulette_in_the_dark(transmittance):
     """Rounding: each batch of 2**16 evenly distributed rays has the mean by itself.
 
     A chance below 2**-24 would be that of the number 0, and far too high.
@@ -124,26 +114,17 @@ def test_russian_roulette_in_the_dark(transmittance, mono):  # noqa: ARG001
         (55, 0, 1e-9, "weighted"),
     ],
 )
-def test_third_order_of_dark_grooves(half_angle, theta_i, rho, estimator, mono):  # noqa: ARG001
+def test_third_order_of_dark_grooves(half_angle, theta_i, rho, estimator):
     """What leaves after three events, against the series of the radiosity equation."""
     truth, coarse = (
         diffuse_groove_order(half_angle, theta_i, rho, 3, nodes) for nodes in (32, 16)
     )
-    wall = {"type": "twosided", "bsdf": matte(rho)}
-    record = gonio.measure(
-        grooves(half_angle, 1, bsdf=wall),
-        theta_i,
-        period="box",
-        order=3,
-        collector="projected:4x6",
-        estimator=estimator,
-        rays=2**17,
-    )
-    error = record.dhr_std_err[0]
-    assert abs(truth - coarse) < error / 100
-    degrees = record.n_batches - 1
-    agree(single(normal_scores((record.dhr[0] - truth) / error, degrees)))
-    disagree(single(normal_scores((record.dhr[0] - 0.8 * truth) / error, degrees)))
+    settings = {"period": "box", "order": 3, "rays": 2**17, "estimator": estimator}
+    settings["collector"] = "projected:4x6"
+    record = gonio.measure(groove(rho, half_angle), theta_i, **settings)
+    assert abs(truth - coarse) < record.dhr_std_err[0] / 100
+    agree(of_total(record, truth))
+    disagree(of_total(record, 0.8 * truth))
 
 
 def test_the_series_of_orders_is_the_radiosity():
@@ -159,14 +140,9 @@ def test_coloured_emitter(power, rgb):  # noqa: ARG001
     All rays that reach the diffuse plate leave it with a constant share. Rounding: of
     the products of a few events, in single precision.
     """
-    emitter = {
-        "type": "rectangle",
-        "to_world": mi.ScalarTransform4f().translate([0, 0, 3]).rotate([1, 0, 0], 180),
-        "emitter": {
-            "type": "area",
-            "radiance": {"type": "rgb", "value": [power, 2.0, 3e4 * power]},
-        },
-    }
+    emitter = lamp(1.0, 3.0)
+    radiance = {"type": "rgb", "value": [power, 2.0, 3e4 * power]}
+    emitter["emitter"]["radiance"] = radiance
     reflectance = [0.214, 0.5, 0.8]
     plate = matte({"type": "rgb", "value": reflectance})
     record = gonio.measure(plate, 20, emitter=emitter, rays=5000, batches=4)
@@ -188,19 +164,19 @@ def test_a_dark_channel_beside_a_bright_one(dark, rgb):  # noqa: ARG001
 
 
 @pytest.mark.parametrize("chance", [1e-9, 1e-5, 0.3 * 2**-12, 0.3])
-def test_small_chances_of_whole_numbers(chance, mono):  # noqa: ARG001
+def test_small_chances_of_whole_numbers(chance):
     """Exact: all pairs of 24-bit numbers, of which each is compared by itself.
 
     Rounding: a step of the second number, or of the only one, of the chance.
     """
     chance = float(np.float32(chance))
     every = dr.arange(mi.Float, 2**24) * 2**-24
-    rare = chance < RARE
+    rare = chance < RARE_CHANCE
     by_first = whole_number(mi.Spectrum(chance), every, mi.Float(0))
     by_second = whole_number(mi.Spectrum(chance), mi.Float(0), every)
     shares = [dr.count(whole[0] == 1)[0] / 2**24 for whole in (by_first, by_second)]
     assert shares[1] < 1 if rare else shares[1] == 1
-    step = 2.0**-24 * (RARE if rare else 1)
+    step = 2.0**-24 * (RARE_CHANCE if rare else 1)
     assert chance <= shares[0] * shares[1] < chance + step
 
 
@@ -228,21 +204,13 @@ def test_analog_rays_through_dark_filters(sampler, rgb):  # noqa: ARG001
 
 
 @pytest.mark.parametrize("estimator", ["weighted", "next_event"])
-def test_light_scales_with_reflectance(estimator, mono):  # noqa: ARG001
+def test_light_scales_with_reflectance(estimator):
     """A reflectance of 2**-40 takes 2**-80 of the second order, to the last bit."""
 
     def second(rho):
-        wall = {"type": "twosided", "bsdf": matte(rho)}
-        return gonio.measure(
-            grooves(40, 1, bsdf=wall),
-            25,
-            period="box",
-            order=2,
-            collector="projected:3x4",
-            estimator=estimator,
-            rays=4000,
-            batches=4,
-        )
+        settings = {"period": "box", "order": 2, "rays": 4000, "batches": 4}
+        settings |= {"collector": "projected:3x4", "estimator": estimator}
+        return gonio.measure(groove(rho), 25, **settings)
 
     white, dark = second(1.0), second(2.0**-40)
     assert dark.ledger == white.ledger
@@ -253,38 +221,38 @@ def test_light_scales_with_reflectance(estimator, mono):  # noqa: ARG001
     assert (dark.brdf > 0).any()
 
 
-def test_threads_do_not_matter(mono):  # noqa: ARG001
+def test_threads_and_launches_do_not_matter(monkeypatch):
     """Exact: the bits, for light from 1 down to 1e-24 in the same patches."""
-    wall = {"type": "twosided", "bsdf": matte(1e-6)}
 
-    def record(**settings):
-        return gonio.measure(
-            grooves(40, 1, bsdf=wall), 25, period="box", rays=20_000, **settings
-        )
+    def tallies():
+        settings = {"rays": 20_000, "batches": 2, "collector": "projected:3x4"}
+        return gonio.measure(groove(1e-6), 25, period="box", **settings).tallies
 
-    before = dr.thread_count()
-    one = record()
+    before, whole = dr.thread_count(), tallies()
     try:
         dr.set_thread_count(before + 3)
-        other = record()
+        assert tallies() == whole
     finally:
         dr.set_thread_count(before)
-    assert one.tallies == other.tallies
+    for size in (2001, 7011):
+        monkeypatch.setattr(
+            LaunchSize, "next_part", lambda *ab, n=size: min(n, ab[2] - ab[1])
+        )
+        assert tallies() == whole
 
 
 @pytest.mark.parametrize("suffix", ["npz", "exr"])
-def test_files_keep_faint_light(suffix, tmp_path, mono):  # noqa: ARG001
+def test_files_keep_faint_light(suffix, tmp_path):
     record = gonio.measure(filters(1, 1e-30), 30, rays=1000, collector="projected:3x4")
     path = tmp_path / f"dark.{suffix}"
     record.save(path)
     assert gonio.load(path).tallies == record.tallies
 
 
-def test_coverage_in_the_dark(mono):  # noqa: ARG001
+def test_coverage_in_the_dark():
     """Errors of a dark traced groove's second order are as large as its error bars."""
     truth = diffuse_groove_order(40, 25, 1e-5, 2)
-    wall = {"type": "twosided", "bsdf": matte(1e-5)}
-    scene = load_specimen(grooves(40, 1, bsdf=wall))
+    scene = load_specimen(groove(1e-5))
     settings = {"period": "box", "order": 2, "collector": "projected:1x1", "rays": 1000}
     records = [gonio.measure(scene, 25, seed=seed, **settings) for seed in range(50)]
     degrees = records[0].n_batches - 1
@@ -295,19 +263,3 @@ def test_coverage_in_the_dark(mono):  # noqa: ARG001
 
     agree(verdict(scores(truth)))
     disagree(verdict(scores(0.95 * truth)))
-
-
-def test_launches_do_not_matter(mono, monkeypatch):  # noqa: ARG001
-    """Exact: batches sent at once, or in parts of other sizes, have the same bits."""
-    wall = {"type": "twosided", "bsdf": matte(0.013)}
-
-    def record():
-        settings = {"rays": 60_000, "batches": 2, "collector": "projected:3x4"}
-        return gonio.measure(grooves(40, 1, bsdf=wall), 25, period="box", **settings)
-
-    whole = record()
-    for size in (7001, 20_011):
-        monkeypatch.setattr(
-            LaunchSize, "next_part", lambda *ab, n=size: min(n, ab[2] - ab[1])
-        )
-        assert record().tallies == whole.tallies

@@ -1,6 +1,5 @@
 """Records of different specimens are never mixed. All is exact."""
 
-import functools
 import os
 import subprocess
 import sys
@@ -9,6 +8,7 @@ from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
+import plain_bsdf
 import pytest
 
 import gonio_mi as gonio
@@ -61,16 +61,27 @@ def sky(value):
     return {"type": "envmap", "bitmap": mi.Bitmap(pixels)}
 
 
-SPECIMENS = (checkered, blended, block)
-EMITTERS = {
+MAKERS = {
+    "checkered": checkered,
+    "blended": blended,
+    "block": block,
     "size": lambda x: emitter(1.0, half=x),
     "texture": textured,
     "sky": sky,
 }
+EMITTERS = ("size", "texture", "sky")
 
 
-def measured(specimen, seed=0, **settings):
-    return gonio.measure(specimen, 30, seed=seed, **SETTINGS | settings)
+def measured(specimen, theta_i=30, **settings):
+    return gonio.measure(specimen, theta_i, **SETTINGS | settings)
+
+
+def made(name, value, **settings):
+    """Record of a specimen, or of another one in the light of an emitter."""
+    one = MAKERS[name](value)
+    if name in EMITTERS:
+        return measured({"type": "principled"}, emitter=one, **settings)
+    return measured(one, **settings)
 
 
 def interrupted(record):
@@ -86,24 +97,28 @@ def interrupted(record):
     return replace(record, tallies=(first,))
 
 
-@pytest.mark.usefixtures("mono")
-@pytest.mark.parametrize("make", SPECIMENS)
-def test_different_specimens_cannot_be_mixed(make):
-    one, same, other = (measured(make(x), s) for s, x in enumerate((0.2, 0.2, 0.9)))
+@pytest.mark.parametrize("name", MAKERS)
+def test_what_differs_is_never_mixed(name, tmp_path):
+    """Neither merged, nor resumed, nor in one folder."""
+    what = "emitter" if name in EMITTERS else "specimen"
+    one, same, other = (
+        made(name, value, seed=seed) for seed, value in enumerate((0.2, 0.2, 0.9))
+    )
     assert one.merge(same).n_batches == 8
-    with pytest.raises(ValueError, match="agree in the specimen to be merged"):
+    with pytest.raises(ValueError, match=f"agree in the {what} to be merged"):
         one.merge(other)
-    with pytest.raises(ValueError, match="agree in the specimen to be stacked"):
-        gonio.Record.stack(
-            [one, replace(other, provenance=replace(one.provenance, digest="0"))]
-        )
-    resumed = measured(make(0.2), resume=interrupted(one))
+    resumed = made(name, 0.2, resume=interrupted(one))
     np.testing.assert_array_equal(resumed.brdf, one.brdf)
-    with pytest.raises(ValueError, match="it was made with another specimen"):
-        measured(make(0.9), resume=interrupted(one))
+    with pytest.raises(ValueError, match=f"it was made with another {what}"):
+        made(name, 0.9, resume=interrupted(one))
+    folder = {"theta_i": [30], "folder": tmp_path}
+    first = made(name, 0.2, **folder)
+    assert made(name, 0.2, **folder) == first
+    said = "this very campaign" + ", .* with emitter" * (what == "emitter")
+    with pytest.raises(ValueError, match=said):
+        made(name, 0.9, **folder)
 
 
-@pytest.mark.usefixtures("mono")
 def test_what_differs_is_told_in_words():
     """By the specimens' names, or else their parameters."""
     one = measured({"type": "roughconductor", "alpha": 0.2})
@@ -112,64 +127,53 @@ def test_what_differs_is_told_in_words():
         measured({"type": "roughconductor", "alpha": 0.3}, resume=interrupted(one))
     with pytest.raises(ValueError, match=r"=\[0.2\].* instead of .*=\[0.9\]"):
         measured(blended(0.9), resume=interrupted(measured(blended(0.2))))
+    other = replace(one, provenance=replace(one.provenance, digest="0"))
+    with pytest.raises(ValueError, match="agree in the specimen to be stacked"):
+        gonio.Record.stack([one, other])
 
 
-@pytest.mark.usefixtures("mono")
-@pytest.mark.parametrize("make", EMITTERS.values(), ids=EMITTERS)
-def test_different_emitters_cannot_be_mixed(make):
-    matt = {"type": "diffuse"}
-    one, same, other = (
-        measured(matt, s, emitter=make(x)) for s, x in enumerate((0.2, 0.2, 0.9))
-    )
-    assert one.merge(same).n_batches == 8
-    with pytest.raises(ValueError, match="agree in the emitter to be merged"):
-        one.merge(other)
-    with pytest.raises(ValueError, match="it was made with another emitter"):
-        measured(matt, emitter=make(0.9), resume=interrupted(one))
-
-
-@pytest.mark.usefixtures("mono")
 def test_a_turned_emitter_is_the_same_emitter():
-    matt, settings = {"type": "diffuse"}, SETTINGS | {"emitter": emitter(1.0)}
-    stack = gonio.measure(matt, [0, 30, 60], **settings)
-    alone = gonio.measure(matt, 60, **settings)
+    matt = {"type": "diffuse"}
+    stack, alone = (
+        measured(matt, theta_i, emitter=emitter(1.0)) for theta_i in ([0, 30, 60], 60)
+    )
     for key in ("digest", "emitter_digest"):
         assert stack.settings[key] == alone.settings[key]
     assert measured(matt).settings["emitter_digest"] is None
+
+
+def digests(name):
+    """Of a specimen and of the emitter."""
+    settings = made(name, 0.2).settings
+    return [settings["digest"], str(settings["emitter_digest"])]
 
 
 SCRIPT = """
 import sys
 import gonio_mi as gonio, mitsuba as mi
 mi.set_variant("llvm_ad_mono")
-sys.path.insert(0, sys.argv[1])
+sys.path[:0] = sys.argv[1:]
 import test_digest
-for make in test_digest.SPECIMENS:
-    print(test_digest.measured(make(0.2)).settings["digest"])
-for make in test_digest.EMITTERS.values():
-    record = test_digest.measured({"type": "principled"}, emitter=make(0.2))
-    print(record.settings["digest"], record.settings["emitter_digest"])
+for name in test_digest.MAKERS:
+    print(*test_digest.digests(name))
 """
 
 
-@pytest.mark.usefixtures("mono")
 def test_another_process_has_the_same_digests():
-    here = [measured(make(0.2)).settings["digest"] for make in SPECIMENS]
-    for make in EMITTERS.values():
-        settings = measured({"type": "principled"}, emitter=make(0.2)).settings
-        here += [settings["digest"], settings["emitter_digest"]]
+    here = [text for name in MAKERS for text in digests(name)]
+    folders = [Path(__file__).parent, Path(plain_bsdf.__file__).parent]
     there = subprocess.run(
-        [sys.executable, "-c", SCRIPT, Path(__file__).parent],
+        [sys.executable, "-c", SCRIPT, *folders],
         capture_output=True,
         text=True,
         check=True,
         env=os.environ | {"PYTHONHASHSEED": "7"},
     )
     assert there.stdout.split() == here
-    assert len(set(here)) == len(SPECIMENS) + 1 + len(EMITTERS)
+    # of specimens, emitters, the specimen that these light, and of no emitter
+    assert len(set(here)) == len(MAKERS) + 2
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_specimen_that_is_measured_again_has_its_digest():
     scene = mi.load_dict({"type": "scene", "block": block(0.2), "e": emitter(1.0)})
     assert len({measured(scene).settings["digest"] for _ in range(3)}) == 1
@@ -184,88 +188,55 @@ def test_a_specimen_that_is_measured_again_has_its_digest():
 def wordless():
     """BSDF plugin whose text holds an address, as Python's own texts do."""
 
-    class Wordless(mi.BSDF):
-        def __init__(self, props):
-            super().__init__(props)
-            self.diffuse = mi.load_dict({"type": "diffuse"})
-            self.m_components = [self.diffuse.flags(0)]
-            self.m_flags = self.diffuse.flags()
+    class TestWordless(plain_bsdf.plain()):
+        def load(self, props):
             self.word = props.get("word", "a")
-
-        def sample(self, *arguments):
-            return self.diffuse.sample(*arguments)
 
         def to_string(self):
             return f"Wordless[{object.__repr__(self)}, {self.word}]"
 
-    mi.register_bsdf("test_wordless", Wordless)
+    plain_bsdf.register([TestWordless])
 
 
-@pytest.mark.usefixtures("mono", "wordless")
+def of_each(specimens):
+    return [digest(load_specimen(one).shapes()) for one in specimens]
+
+
+@pytest.mark.usefixtures("wordless")
 def test_addresses_are_no_part_of_it():
-    plugins = [{"type": "test_wordless", "word": word} for word in ("a", "a", "b")]
-    scenes = [load_specimen(plugin) for plugin in plugins]
-    digests = [digest(scene.shapes()) for scene in scenes]
-    assert digests[0] == digests[1] != digests[2]
+    one, same, other = of_each({"type": "test_wordless", "word": w} for w in "aab")
+    assert one == same != other
 
 
-def secretive(kind):
-    """Maker of BSDFs in Python that tell Mitsuba nothing, but keep a reflectance."""
+KEPT = {
+    "number": lambda value: value,
+    "lists": lambda value: [("a", 1.0), (value, None)],
+    "array": lambda value: np.full((2, 2), value),
+    "jit": lambda value: mi.Float(value),
+    "texture": lambda value: mi.load_dict({"type": "uniform", "value": value}),
+    "bsdf": lambda value: mi.load_dict({"type": "diffuse", "reflectance": value}),
+}
 
-    class Secretive(mi.BSDF):
-        def __init__(self, props):
-            super().__init__(props)
-            value = props.get("reflectance")
-            self.kept = {
-                "number": lambda: value,
-                "lists": lambda: [("a", 1.0), (value, None)],
-                "array": lambda: np.full((2, 2), value),
-                "jit": lambda: mi.Float(value),
-                "bsdf": lambda: None,
-                "texture": lambda: mi.load_dict({"type": "uniform", "value": value}),
-            }[kind]()
-            inner = {"type": "uniform", "value": value}
-            self.inner = mi.load_dict({"type": "diffuse", "reflectance": inner})
-            self.m_components = [self.inner.flags(0)]
-            self.m_flags = self.inner.flags()
-            if kind != "bsdf":  # not seen: what a function knows
-                self.inner = functools.partial(getattr, self.inner)
 
-        def sample(self, *arguments):
-            return self.function("sample")(*arguments)
+@pytest.mark.parametrize("kind", KEPT)
+def test_what_a_plugin_in_python_keeps_is_seen(kind):
+    """Records of reflectances 0.5 and 0.8 were merged to 0.65 without a word."""
 
-        def eval(self, *arguments):
-            return self.function("eval")(*arguments)
-
-        def pdf(self, *arguments):
-            return self.function("pdf")(*arguments)
-
-        def function(self, name):
-            return getattr(self.inner, name) if kind == "bsdf" else self.inner(name)
+    class TestSecretive(plain_bsdf.plain()):
+        def load(self, props):
+            self.kept = KEPT[kind](props.get("reflectance"))
 
         def to_string(self):
             return "Secretive[]"
 
-    mi.register_bsdf(f"test_secretive_{kind}", Secretive)
-    return lambda value: {"type": f"test_secretive_{kind}", "reflectance": value}
+    plain_bsdf.register([TestSecretive])
+    plain = [{"type": "test_secretive", "reflectance": x} for x in (0.5, 0.5, 0.8)]
+    for specimens in (plain, [{"type": "twosided", "bsdf": one} for one in plain]):
+        one, same, other = of_each(specimens)
+        assert one == same != other
 
 
-@pytest.mark.usefixtures("mono")
-@pytest.mark.parametrize("kind", ["number", "lists", "array", "jit", "texture", "bsdf"])
-def test_what_a_plugin_in_python_keeps_is_seen(kind):
-    """Records of reflectances 0.5 and 0.8 were merged to 0.65 without a word."""
-    make = secretive(kind)
-    for nest in (lambda bsdf: bsdf, lambda bsdf: {"type": "twosided", "bsdf": bsdf}):
-        one, same, other = (
-            measured(nest(make(value)), seed)
-            for seed, value in enumerate((0.5, 0.5, 0.8))
-        )
-        assert one.merge(same).n_batches == 8
-        with pytest.raises(ValueError, match="agree in the specimen to be merged"):
-            one.merge(other)
-
-
-@pytest.mark.usefixtures("mono", "wordless")
+@pytest.mark.usefixtures("wordless")
 def test_a_file_that_a_plugin_keeps_is_what_it_holds(tmp_path):
     """Wherever it is: it may be elsewhere on another machine."""
     digests = []
@@ -278,7 +249,6 @@ def test_a_file_that_a_plugin_keeps_is_what_it_holds(tmp_path):
     assert digests[0] == digests[1] != digests[2]
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_python_file_has_one_digest_in_all_locales(tmp_path, monkeypatch):
     """It is read as Python reads it, and what it imports as UTF-8."""
     plugin, helper = tmp_path / "plugin.py", tmp_path / "helper_in_danish.py"
@@ -313,18 +283,7 @@ def test_a_digest_sees_helpers_however_they_are_imported(tmp_path, statement):
     assert digests[0] == digests[1] != digests[2]
 
 
-def test_a_folder_sees_the_data_of_bitmaps(tmp_path):
-    for make in SPECIMENS:
-        folder = tmp_path / make.__name__
-        first = gonio.measure(make(0.2), [30], **SETTINGS, folder=folder)
-        again = gonio.measure(make(0.2), [30], **SETTINGS, folder=folder)
-        assert again == first
-        with pytest.raises(ValueError, match="must hold this very campaign"):
-            gonio.measure(make(0.9), [30], **SETTINGS, folder=folder)
-
-
 @pytest.mark.needs("materials")
-@pytest.mark.usefixtures("mono")
 def test_a_folder_sees_the_files_that_a_specimen_names(tmp_path):
     def groove(depth):
         shape = mi.load_dict(block(depth))
@@ -334,9 +293,8 @@ def test_a_folder_sees_the_files_that_a_specimen_names(tmp_path):
         mi.Bitmap(np.full((4, 4, 1), value, np.float32)).write(str(tmp_path / "t.exr"))
 
     def table(value):
-        angles = {"theta_i": [0, 30, 60]}
         specimen = {"type": "diffuse", "reflectance": value}
-        gonio.measure(specimen, **angles, **SETTINGS).save(tmp_path / "g.npz")
+        measured(specimen, [0, 30, 60]).save(tmp_path / "g.npz")
 
     mesh = '<shape type="ply"><string name="filename" value="mesh.ply"/></shape>'
     (tmp_path / "mesh.xml").write_text(f'<scene version="3.0.0">{mesh}</scene>')
@@ -346,20 +304,10 @@ def test_a_folder_sees_the_files_that_a_specimen_names(tmp_path):
         (picture, {"type": "diffuse", "reflectance": texture}),
         (table, {"type": "goniometric", "filename": str(tmp_path / "g.npz")}),
     ):
-        settings = SETTINGS | {"folder": tmp_path / change.__name__}
+        folder = tmp_path / change.__name__
         change(0.2)
-        gonio.measure(specimen, [30], **settings)
-        gonio.measure(specimen, [30], **settings)
+        measured(specimen, [30], folder=folder)
+        measured(specimen, [30], folder=folder)
         change(0.9)
         with pytest.raises(ValueError, match="the specimen of specimen was another"):
-            gonio.measure(specimen, [30], **settings)
-
-
-@pytest.mark.usefixtures("mono")
-def test_a_folder_sees_the_data_of_emitters(tmp_path):
-    settings = SETTINGS | {"folder": tmp_path}
-    matt = {"type": "diffuse"}
-    gonio.measure(matt, [0, 30], **settings, emitter=textured(0.2))
-    gonio.measure(matt, [0, 30], **settings, emitter=textured(0.2))
-    with pytest.raises(ValueError, match=r"very campaign, .* with emitter"):
-        gonio.measure(matt, [0, 30], **settings, emitter=textured(0.9))
+            measured(specimen, [30], folder=folder)

@@ -6,8 +6,6 @@ from budget import agree, disagree, verdict
 
 import gonio_mi as gonio
 
-pytestmark = pytest.mark.usefixtures("mono")
-
 MIRROR = {"type": "conductor", "material": "none"}
 RAYS = 2**18
 DIVERGENCE, INNER = 4.0, 2.0

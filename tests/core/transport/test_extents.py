@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 from budget import agree, disagree, single
 from scipy.interpolate import BSpline
+from specimens import GREY
 
 from gonio_mi.transport import shapes
 from gonio_mi.transport.shapes import bounds
 
-pytestmark = pytest.mark.usefixtures("mono")
-
-GREY = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": 0.8}}
 SINGLE = 2.0**-22
 
 

@@ -6,7 +6,7 @@ import gonio_mi as gonio
 import mitsuba as mi
 import numpy as np
 import pytest
-from budget import agree, disagree, normal_scores, single
+from budget import agree, disagree, of_total
 from specimens import diffuse_groove_dhr
 
 HALF_ANGLE = 30.0
@@ -41,7 +41,6 @@ def square(**bsdf):
     ("theta_i", "rho", "estimator"),
     [(20, 0.7, "weighted"), (50, 0.9, "analog"), (0, 0.3, "next_event")],
 )
-@pytest.mark.usefixtures("mono")
 def test_groove_of_two_instances(theta_i, rho, estimator):
     """A diffuse groove against its radiosity; twin: the square's own reflectance."""
     record = gonio.measure(
@@ -52,16 +51,11 @@ def test_groove_of_two_instances(theta_i, rho, estimator):
         estimator=estimator,
     )
 
-    def z(reference):
-        t = (record.dhr[0] - reference) / record.dhr_std_err[0]
-        return float(normal_scores(t, record.settings["batches"] - 1))
-
-    agree(single(z(diffuse_groove_dhr(HALF_ANGLE, theta_i, rho))))
-    disagree(single(z(rho)))
+    agree(of_total(record, diffuse_groove_dhr(HALF_ANGLE, theta_i, rho)))
+    disagree(of_total(record, rho))
     assert "Rectangle with SmoothDiffuse" in record.settings["surface"]
 
 
-@pytest.mark.usefixtures("mono")
 def test_digest_and_flags_look_into_the_group():
     """What the group holds is part of the specimen: colours, flags, geometry."""
     common = {"theta_i": 40, "rays": 64, "hemispheres": "both"}
@@ -79,7 +73,6 @@ def test_digest_and_flags_look_into_the_group():
     assert settings[0]["transmission"] != "declared"
 
 
-@pytest.mark.usefixtures("mono")
 def test_same_geometry_other_group():
     """The acceleration structure that is kept belongs to the group, too."""
     scene = mi.load_dict(instances(square(), walls()), optimize=False)
@@ -91,7 +84,6 @@ def test_same_geometry_other_group():
     assert other.dhr < 0.5 * first.dhr
 
 
-@pytest.mark.usefixtures("mono")
 def test_instance_without_a_scene():
     """One instance alone has lost its group."""
     alone = {"type": "instance", "group": {"type": "shapegroup", **square()}}
@@ -99,7 +91,6 @@ def test_instance_without_a_scene():
         gonio.measure(alone, theta_i=30, rays=100)
 
 
-@pytest.mark.usefixtures("mono")
 def test_medium_in_a_group():
     """What a group holds is checked like any shape."""
     filled = {"ball": {"type": "sphere", "interior": {"type": "homogeneous"}}}

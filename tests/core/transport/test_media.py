@@ -14,7 +14,7 @@ from budget import (
     agree,
     difference_scores,
     disagree,
-    normal_scores,
+    of_total,
     scores,
     single,
     verdict,
@@ -52,37 +52,31 @@ def cube(one, half=1.0, height=0.5, bsdf=NULL):
 
 
 def both(a, b):
-    """Scores of both hemispheres of two records."""
-    return np.concatenate(
-        [difference_scores(a, b, hemisphere) for hemisphere in (0, 1)]
+    """Verdict on both hemispheres of two records."""
+    return verdict(
+        np.concatenate([difference_scores(a, b, hemisphere) for hemisphere in (0, 1)])
     )
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("bsdf", [NULL, GLASS])
 def test_wide_plate_is_a_layer(bsdf):
     """A cube so wide that no light leaves by a side, lit at a point."""
     one = medium(2.0, 0.95, 0.5)
     plate = measured(cube(one, half=500.0, bsdf=bsdf), footprint="point")
-    if bsdf is NULL:
-        scene = stack(one)
-    else:
-        inner = {"type": "dielectric", "int_ior": 1.0, "ext_ior": 1.5}
-        shapes = stack(one, bsdf=GLASS)
-        shapes["interface_1"]["bsdf"] = inner
-        scene = shapes
+    scene = stack(one, bsdf=bsdf)
+    if bsdf is GLASS:
+        scene["interface_1"]["bsdf"] = GLASS | {"int_ior": 1.0, "ext_ior": 1.5}
     layer = measured(scene, period="box", seed=1)
     assert (plate.settings["transport"], layer.settings["transport"]) == (
         "traced",
         "layers",
     )
-    agree(verdict(both(plate, layer)))
+    agree(both(plate, layer))
     narrow = measured(cube(one, half=1.0, bsdf=bsdf), footprint="point")
-    disagree(verdict(both(narrow, layer)))
+    disagree(both(narrow, layer))
     assert narrow.ledger.over_the_edge > 0 == plate.ledger.over_the_edge
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("estimator", ["weighted", "analog"])
 def test_nested_and_adjacent_media(estimator):
     """A ball of the same medium in a medium is none, and its ledger adds up."""
@@ -93,10 +87,10 @@ def test_nested_and_adjacent_media(estimator):
     record = measured(nested, estimator=estimator, seed=1)
     assert record.ledger.astray == 0
     assert record.ledger.emitted == RAYS
-    agree(verdict(both(record, whole)))
+    agree(both(record, whole))
     core = ball(medium(9.0, 0.2), radius=0.6, exterior=outer)
     other = measured({**nested, "core": core}, estimator=estimator)
-    disagree(verdict(both(other, whole)))
+    disagree(both(other, whole))
 
 
 def grid(values):
@@ -110,7 +104,6 @@ def grid(values):
     return mi.load_dict({"type": "heterogeneous", **coefficients, "phase": phase})
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("estimator", ["weighted", "analog"])
 def test_grid(estimator):
     """Delta tracking through a grid of two layers, one of which is thin."""
@@ -151,7 +144,7 @@ def test_channels_that_differ(estimator):
         patches, totals, _ = theory([layer], 30.0, PATCHES)
         agree(verdict(scores(record, patches[0], 0, channel)))
         disagree(verdict(scores(record, 1.25 * patches[0], 0, channel)))
-        agree(of_total(record, totals[0], channel))
+        agree(of_total(record, totals[0], channel=channel))
 
 
 @pytest.mark.usefixtures("rgb")
@@ -196,7 +189,6 @@ def test_wavelengths_that_differ():
         measured(stack(one), period="box", wavelengths=800)
 
 
-@pytest.mark.usefixtures("mono")
 def test_almost_white_media_end():
     """The roulette is unbiased; `rr_depth` and none of it give the same."""
     scene = stack(medium(50.0, 0.999))
@@ -208,13 +200,6 @@ def test_almost_white_media_end():
     disagree(of_total(usual, total - 0.05))
 
 
-def of_total(record, dhr, channel=0):
-    """Verdict on the reflectance of a record."""
-    t = (record.dhr[channel] - dhr) / record.dhr_std_err[channel]
-    return single(normal_scores(t, record.n_batches - 1))
-
-
-@pytest.mark.usefixtures("mono")
 def test_scatterings_may_be_limited():
     """What is cut off is in the ledger."""
     record = measured(stack(medium(5.0, 1.0)), period="box", max_scatterings=3)
@@ -228,7 +213,6 @@ def test_scatterings_may_be_limited():
     assert "max_scatterings" not in measured({"type": "diffuse"}, rays=100).settings
 
 
-@pytest.mark.usefixtures("mono")
 def test_what_is_no_number_costs_no_record(monkeypatch):
     odd = [("name", object()), ("words", "grey"), ("sigma_t", 5.0)]
     monkeypatch.setattr(mi, "traverse", lambda _: odd)
@@ -246,7 +230,6 @@ BAD = {
 }
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("words", BAD)
 def test_no_medium(words):
     one = mi.load_dict({"type": "homogeneous", **BAD[words]})
@@ -254,14 +237,12 @@ def test_no_medium(words):
         measured(ball(one))
 
 
-@pytest.mark.usefixtures("mono")
 def test_no_grid():
     for value in (-0.5, np.nan):
         with pytest.raises(gonio.SpecimenError, match="sigma_t that is finite"):
             measured(ball(grid([1.0, value])))
 
 
-@pytest.mark.usefixtures("mono")
 def test_what_media_do_not_have():
     """Estimators that look at surfaces, and emitters inside."""
     for estimator in ("next_event", "quadrature"):
@@ -276,43 +257,33 @@ def test_what_media_do_not_have():
 
 
 @pytest.mark.needs("validation")
-@pytest.mark.usefixtures("mono")
 def test_validate_judges_boundaries_alone():
     with pytest.raises(gonio.SpecimenError, match="validate judges BSDFs, got a shape"):
         gonio.validate(SCENES / "milk_glass.xml")
 
 
-@pytest.mark.usefixtures("mono")
-@pytest.mark.parametrize("albedo", [0.99, 1.0])
-def test_milk_glass(albedo):
+def test_milk_glass():
     """Behind smooth faces, against adding and doubling (Prahl's iadpython).
 
     The reference is converged to 3e-4, a fifth of the standard error.
     """
     scene = SCENES / "milk_glass.xml"
-    record = measured(scene, 0.0, parameters={"albedo": albedo}, rays=100_000)
-    plate = iadpython.Sample(a=albedo, b=10, g=0.7, n=1.5, quad_pts=32)
+    record = measured(scene, 0.0, parameters={"albedo": 0.99}, rays=100_000)
+    plate = iadpython.Sample(a=0.99, b=10, g=0.7, n=1.5, quad_pts=32)
     total, passed, _, _ = plate.rt()
     agree(of_total(record, total))
     disagree(of_total(record, total + 0.02))
-    (t,) = (record.dht - passed) / record.dht_std_err
-    agree(single(normal_scores(t, record.n_batches - 1)))
-    if albedo == 1:
-        assert record.ledger.reflected + record.ledger.transmitted == 100_000
+    agree(of_total(record, passed, "dht"))
 
 
-@pytest.mark.usefixtures("mono")
 def test_paint_hides_its_base():
     """The contrast of black and white falls with the thickness of the film."""
     contrasts = []
     for thickness in (0.02, 0.1, 0.5):
+        film = {"thickness": thickness}
         pair = [
-            measured(
-                SCENES / "paint_film.xml",
-                parameters={"thickness": thickness, "base": base},
-                rays=10_000,
-            )
-            for base in (0.0, 0.8)
+            measured(SCENES / "paint_film.xml", parameters=film | base, rays=10_000)
+            for base in ({"base": 0.0}, {"base": 0.8})
         ]
         black, white = (record.dhr[0] for record in pair)
         assert black < white
@@ -337,24 +308,17 @@ def test_skin_is_red_and_leaf_is_green():
     assert np.all((back.dhr > front.dhr)[[0, 2]])
 
 
-@pytest.mark.usefixtures("mono")
 def test_leaf_transmits_alike_both_ways():
     """Reciprocity of a plate: lit all over, as much passes up as down (Lambertian)."""
     sky = {"type": "constant"}
     down = measured(SCENES / "leaf.xml", None, emitter=sky, rays=20_000)
     # of each direction alone it is another share
-    up = [
-        measured(SCENES / "leaf.xml", theta, side="back", rays=3000)
-        for theta in RING_ANGLES
-    ]
-    t = np.mean([one.dht[0] for one in up])
-    error = np.sqrt(np.sum([one.dht_std_err[0] ** 2 for one in up])) / len(up)
-    error = np.hypot(error, down.dht_std_err[0])
-    agree(single((down.dht[0] - t) / error))
-    disagree(single((down.dht[0] - 1.2 * t) / error))
+    up = measured(SCENES / "leaf.xml", RING_ANGLES, side="back", rays=3000)
+    error = np.hypot(np.linalg.norm(up.dht_std_err) / len(up), down.dht_std_err[0])
+    agree(single((down.dht[0] - up.dht.mean()) / error))
+    disagree(single((down.dht[0] - 1.2 * up.dht.mean()) / error))
 
 
-@pytest.mark.usefixtures("mono")
 def test_rays_that_are_all_astray_are_no_measurement():
     """Layers whose medium is another one for each of its faces; twin: one for both."""
     one, other = medium(1.0, 1.0), medium(1.0, 1.0)
@@ -364,7 +328,6 @@ def test_rays_that_are_all_astray_are_no_measurement():
     assert measured(stack(one), period="box").ledger.astray == 0
 
 
-@pytest.mark.usefixtures("mono")
 def test_walls_of_a_medium_in_the_sides_of_a_cell_are_refused():
     """Light would pass into the next cell's medium untold; twin: a larger cell."""
     for bsdf in (NULL, GLASS):
@@ -373,7 +336,6 @@ def test_walls_of_a_medium_in_the_sides_of_a_cell_are_refused():
     assert measured(cube(medium(1.0)), period=(2.5, 2.5)).ledger.astray == 0
 
 
-@pytest.mark.usefixtures("mono")
 def test_rays_astray_are_told():
     """An open shape, and two that overlap: counted, and said."""
     one = medium(1.0, 1.0)

@@ -12,19 +12,13 @@ from gonio_mi import cli
 from gonio_mi.errors import FileFormatError
 from gonio_mi.surfaces.meshes import read_stl
 
-pytestmark = pytest.mark.usefixtures("mono")
-
 MATT = {"type": "diffuse", "reflectance": 0.6}
 
 # A slat that is tilted by 40 degrees, in mm, for a pitch of 25.
+ENDS = (-12.5, 12.5, 12.5, -12.5)
 HALF = 11.25 * np.array([np.sin(np.radians(40)), np.cos(np.radians(40))])
 CORNERS = np.array(
-    [
-        [-12.5, -HALF[0], -HALF[1]],
-        [12.5, -HALF[0], -HALF[1]],
-        [12.5, HALF[0], HALF[1]],
-        [-12.5, HALF[0], HALF[1]],
-    ]
+    [[x, sign * HALF[0], sign * HALF[1]] for x, sign in zip(ENDS, (-1, -1, 1, 1))]
 )
 TRIANGLES = CORNERS[[[0, 1, 2], [0, 2, 3]]]
 
@@ -279,19 +273,12 @@ def test_walls_of_glass_in_the_sides_of_a_cell_are_told(recwarn, bsdf, period, t
 def test_a_film_without_walls_is_not_told_of(recwarn):
     """Two faces of glass, and nothing at the sides."""
     turned = mi.ScalarTransform4f().translate([0, 0, -1]).rotate([1, 0, 0], 180)
-    faces = {
-        "top": {"type": "rectangle", "bsdf": {"type": "dielectric"}},
-        "bottom": {
-            "type": "rectangle",
-            "to_world": turned,
-            "bsdf": {"type": "dielectric"},
-        },
-    }
-    gonio.measure({"type": "scene"} | faces, 30, period="box", rays=64)
+    face = {"type": "rectangle", "bsdf": {"type": "dielectric"}}
+    film = {"type": "scene", "top": face, "bottom": face | {"to_world": turned}}
+    gonio.measure(film, 30, period="box", rays=64)
     assert not recwarn.list
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_mesh_is_measured_in_other_processes(tmp_path):
     """Mitsuba's transforms cannot be sent by themselves; the bits are the same."""
     path = tmp_path / "slat.obj"

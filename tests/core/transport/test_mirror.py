@@ -2,13 +2,11 @@
 
 import numpy as np
 import pytest
+from specimens import MIRROR
 
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
 
-pytestmark = pytest.mark.usefixtures("mono")
-
-MIRROR = {"type": "twosided", "bsdf": {"type": "conductor"}}
 RAYS = 1001  # no multiple of the number of batches
 
 
@@ -16,6 +14,10 @@ def mirror_patch(subdivision, theta_i, phi_i):
     """Patch of ideal reflection."""
     v = direction(np.radians(theta_i), np.radians(phi_i + 180))
     return int(subdivision.patch(v))
+
+
+def measured(theta_i, phi_i, **settings):
+    return gonio.measure(MIRROR, theta_i, phi_i, rays=RAYS, batches=2, **settings)
 
 
 def assert_one_patch(record, expected):
@@ -41,27 +43,14 @@ def assert_one_patch(record, expected):
 def test_all_rays_in_the_mirror_patch(kind, trace, side, footprint):
     theta_i = (0, 1e-3, 45, 60, 89.9, 89.99)
     phi_i = (0, 12, 90, 180, 270, 301.5)
-    stack = gonio.measure(
-        MIRROR,
-        theta_i,
-        phi_i,
-        collector=f"{kind}:30x30",
-        rays=RAYS,
-        batches=2,
-        trace=trace,
-        side=side,
-        footprint=footprint,
-        sampler="independent",
-    )
+    settings = {"trace": trace, "side": side, "footprint": footprint}
+    settings |= {"collector": f"{kind}:30x30", "sampler": "independent"}
+    stack = measured(theta_i, phi_i, **settings)
     for i in range(len(stack)):
         theta, phi = theta_i[i // len(phi_i)], phi_i[i % len(phi_i)]
-        assert_one_patch(stack[i], mirror_patch(stack.subdivision, theta, phi))
-
-
-def test_pole_is_patch_zero():
-    for phi_i in (0, 90, 180, 270):
-        record = gonio.measure(MIRROR, 0, phi_i, rays=RAYS, batches=2)
-        assert_one_patch(record, 0)
+        patch = mirror_patch(stack.subdivision, theta, phi)
+        assert patch == 0 or theta > 0  # that of the pole
+        assert_one_patch(stack[i], patch)
 
 
 @pytest.mark.parametrize(
@@ -79,32 +68,20 @@ def test_pole_is_patch_zero():
 )
 def test_on_ring_and_sector_borders(kind, theta_i, n, trace):
     """A direction on a border is in the patch that begins there."""
-    for sector in range(12):
-        record = gonio.measure(
-            MIRROR,
-            theta_i,
-            30 * sector,
-            collector=f"{kind}:{n}x12",
-            rays=RAYS,
-            batches=2,
-            trace=trace,
-        )
-        fraction = {
-            "angle": theta_i / 90,
-            "solid": 1 - np.cos(np.radians(theta_i)),
-            "projected": np.sin(np.radians(theta_i)) ** 2,
-        }[kind]
-        ring = round(fraction * n)
-        assert_one_patch(record, ring * 12 + (sector + 6) % 12)
+    fraction = {
+        "angle": theta_i / 90,
+        "solid": 1 - np.cos(np.radians(theta_i)),
+        "projected": np.sin(np.radians(theta_i)) ** 2,
+    }[kind]
+    azimuths = [30 * sector for sector in range(12)]
+    stack = measured(theta_i, azimuths, collector=f"{kind}:{n}x12", trace=trace)
+    for sector, record in enumerate(stack):
+        assert_one_patch(record, round(fraction * n) * 12 + (sector + 6) % 12)
 
 
 def test_twin_turned_by_a_patch():
     """The border test can fail: turned by a tenth of a degree, the sector changes."""
-    record = gonio.measure(
-        MIRROR, 45, 29.9, collector="angle:2x12", rays=RAYS, batches=2
-    )
-    assert_one_patch(record, 12 + 6)
-    record = gonio.measure(
-        MIRROR, 45, 30.1, collector="angle:2x12", rays=RAYS, batches=2
-    )
-    assert_one_patch(record, 12 + 7)
+    for record, sector in zip(
+        measured(45, [29.9, 30.1], collector="angle:2x12"), (6, 7)
+    ):
+        assert_one_patch(record, 12 + sector)

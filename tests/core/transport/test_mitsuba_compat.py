@@ -67,7 +67,6 @@ def test_new_flags(of_310):
     assert found == (0, 1, 1, 3)
 
 
-@pytest.mark.usefixtures("mono")
 def test_mesh():
     mesh = mitsuba_compat.mesh_of(
         mi.Properties("ply"), "square", POINTS, FACES, texcoords=UV
@@ -94,7 +93,6 @@ def test_new_mesh(of_310):
     assert (of_310.triangles_of(seam)[1] == FACES).all()
 
 
-@pytest.mark.usefixtures("mono")
 def test_entry_point():
     """From 3.10 on Mitsuba imports, and for each variant reloads, what is named."""
     (found,) = entry_points(group="mitsuba", name="gonio_mi")

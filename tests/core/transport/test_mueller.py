@@ -6,6 +6,7 @@ from itertools import combinations
 import mitsuba as mi
 import mueller
 import numpy as np
+import plain_bsdf
 import pytest
 from budget import agree, disagree, normal_scores, often_enough, verdict
 
@@ -29,11 +30,15 @@ def _wi(theta_i, phi_i):
     return direction(np.radians(theta_i), np.radians(phi_i))
 
 
+def _near(found, due):
+    return np.allclose(found, due, rtol=0, atol=ROUNDING)
+
+
 def test_smooth_conductor_is_fresnel():
     theta_i = [0, 30, 60, 80]
     stack = gonio.measure(CONDUCTOR, theta_i, [0, 70], **FEW)  # share launches
     due = mueller.reflection(np.cos(np.radians(np.repeat(theta_i, 2))), METAL)
-    assert np.allclose(stack.dhr_mueller[:, 0], due, rtol=0, atol=ROUNDING)
+    assert _near(stack.dhr_mueller[:, 0], due)
     assert np.array_equal(stack.dhr_mueller[..., 0, 0], stack.dhr)
     assert np.array_equal(stack.brdf_mueller[..., 0, 0], stack.brdf)
 
@@ -50,12 +55,12 @@ def test_smooth_dielectric_is_fresnel():
     ):
         # how many rays are reflected is chance, of which light is not
         of_light = found[:, 0] / found[:, 0, :1, :1]
-        assert np.allclose(of_light, due / due[:, :1, :1], rtol=0, atol=ROUNDING)
+        assert _near(of_light, due / due[:, :1, :1])
     from_glass = glass | {"int_ior": 1.0, "ext_ior": 1.5}
     inside = gonio.measure(from_glass, [50, 70], 20, **FEW)
     cosine = np.cos(np.radians(inside.theta_i))
     due = mueller.reflection(cosine, 1 / 1.5)
-    assert np.allclose(inside.dhr_mueller[:, 0], due, rtol=0, atol=ROUNDING)
+    assert _near(inside.dhr_mueller[:, 0], due)
     assert np.abs(due[:, 2, 3]).min() > 0.1
 
 
@@ -64,25 +69,24 @@ def test_plates_are_closed_forms():
     theta = 30.0
     fast = np.array([np.cos(np.radians(theta)), -np.sin(np.radians(theta)), 0])
     slow = np.cross([0, 0, 1], fast)
-    down = -_wi(0, 0)
-    stack = gonio.measure({"type": "polarizer", "theta": theta}, 0, **FEW)
+
+    def check(plate, due, theta_i=0, phi_i=0):
+        record = gonio.measure(plate, theta_i, phi_i, **FEW)
+        assert _near(record.dht_mueller[0], due)
+
+    down, k = -_wi(0, 0), -_wi(40, 20)
     due = mueller.of_path(down, down, mueller.polariser(down, slow))
-    assert np.allclose(stack.dht_mueller[0], due, rtol=0, atol=ROUNDING)
-    tilted = gonio.measure({"type": "polarizer"}, 40, 20, **FEW)
-    k = -_wi(40, 20)
+    check({"type": "polarizer", "theta": theta}, due)
     due = mueller.of_path(k, k, mueller.polariser(k, [0.0, 1.0, 0.0]))
-    assert np.allclose(tilted.dht_mueller[0], due, rtol=0, atol=ROUNDING)
+    check({"type": "polarizer"}, due, 40, 20)
     for delta in (90.0, 180.0):
-        plate = {"type": "retarder", "theta": theta, "delta": delta}
-        record = gonio.measure(plate, 0, **FEW)
         late = np.exp(1j * np.radians(delta))
         field = np.outer(fast, fast) + late * np.outer(slow, slow)
         due = mueller.of_path(down, down, field)
-        assert np.allclose(record.dht_mueller[0], due, rtol=0, atol=ROUNDING)
-    circular = gonio.measure({"type": "circular"}, 0, **FEW)
+        check({"type": "retarder", "theta": theta, "delta": delta}, due)
     due = np.zeros((4, 4))
     due[::3, ::3] = 0.5
-    assert np.allclose(circular.dht_mueller[0], due, rtol=0, atol=ROUNDING)
+    check({"type": "circular"}, due)
 
 
 def _wall(centre, normal, bsdf, scale=1.0):
@@ -98,8 +102,9 @@ def _wall(centre, normal, bsdf, scale=1.0):
     }
 
 
-def _after_two(record, wi, walls, index):
+def _after_two(record, walls, index):
     """Matrix of the patch that light reaches after two walls, and what is due there."""
+    wi = _wi(record.theta_i[0], record.phi_i[0])
     k, fields = -wi, []
     for normal in walls:
         k, field = mueller.reflected(k, normal, index)
@@ -113,36 +118,30 @@ def _after_two(record, wi, walls, index):
     return found, mueller.of_path(-wi, k, *fields)
 
 
-def test_mirrors_in_crossed_planes_are_jones_calculus():
-    lower, upper = [1.0, 0.0, 1.0], [-1.0, 0.5, 0.9]
+ALONG = np.array([np.cos(np.radians(140)), np.sin(np.radians(140)), 0.0])
+
+
+@pytest.mark.parametrize(
+    ("place", "lower", "upper", "incidents"),
+    [
+        ([1.5, 0, 0], [1.0, 0.0, 1.0], [-1.0, 0.5, 0.9], [(0, 0), (10, 30), (20, 90)]),
+        (1.5 * ALONG, ALONG + [0, 0, 1], [0.1, -0.2, 1.0] - ALONG, [(0, 0)]),
+    ],
+    ids=["crossed planes", "along the horizon"],
+)
+def test_two_mirrors_are_jones_calculus(place, lower, upper, incidents):
+    """Between walls of 45 degrees light flies where Mitsuba's frames jump."""
     scene = {
         "type": "scene",
-        "a": _wall([-1.5, 0, 0], lower, CONDUCTOR),
-        "b": _wall([1.5, 0, 0], upper, CONDUCTOR, 2.0),
+        "a": _wall(-np.array(place), lower, CONDUCTOR),
+        "b": _wall(place, upper, CONDUCTOR, 2.0),
     }
-    # the last with light along the horizon between both, where Mitsuba's frames jump
-    for theta_i, phi_i in ((0, 0), (10, 30), (20, 90)):
-        record = gonio.measure(scene, theta_i, phi_i, order=2, **FEW | FINE)
-        wi = _wi(theta_i, phi_i)
-        found, due = _after_two(record, wi, (lower, upper), METAL)
-        assert np.allclose(found, due, rtol=0, atol=ROUNDING)
+    for incident in incidents:
+        record = gonio.measure(scene, *incident, order=2, **FEW | FINE)
+        found, due = _after_two(record, (lower, upper), METAL)
+        assert _near(found, due)
         # not the product in the other order
         assert not np.allclose(found, due.T, rtol=0, atol=0.01)
-
-
-def test_light_along_the_horizon_is_jones_calculus():
-    """Between walls of 45 degrees light flies where Mitsuba's frames jump."""
-    azimuth = np.radians(140)
-    along = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
-    lower, upper = along + [0, 0, 1], [0.1, -0.2, 1.0] - along
-    scene = {
-        "type": "scene",
-        "a": _wall(-1.5 * along, lower, CONDUCTOR),
-        "b": _wall(1.5 * along, upper, CONDUCTOR, 2.0),
-    }
-    record = gonio.measure(scene, 0, order=2, **FEW | FINE)
-    found, due = _after_two(record, _wi(0, 0), (lower, upper), METAL)
-    assert np.allclose(found, due, rtol=0, atol=ROUNDING)
 
 
 def test_dielectric_groove_is_jones_calculus():
@@ -155,27 +154,21 @@ def test_dielectric_groove_is_jones_calculus():
     }
     record = gonio.measure(scene, 20, 60, order=2, **FEW | FINE)
     for walls in ((left, right), (right, left)):
-        found, due = _after_two(record, _wi(20, 60), walls, 1.5)
-        assert np.allclose(found / found[0, 0], due / due[0, 0], rtol=0, atol=ROUNDING)
+        found, due = _after_two(record, walls, 1.5)
+        assert _near(found / found[0, 0], due / due[0, 0])
 
 
 def test_polarisers_obey_malus():
     for theta in (0.0, 35.0, 90.0):
-        scene = {
+        lower = {"type": "polarizer", "theta": theta}
+        upper = _wall([0, 0, 0.5], [0, 0, 1], {"type": "polarizer"})
+        pair = {
             "type": "scene",
-            "upper": {
-                "type": "rectangle",
-                "to_world": mi.ScalarTransform4f().translate([0, 0, 0.5]),
-                "bsdf": {"type": "polarizer"},
-            },
-            "lower": {
-                "type": "rectangle",
-                "bsdf": {"type": "polarizer", "theta": theta},
-            },
+            "upper": upper,
+            "lower": _wall([0] * 3, [0, 0, 1], lower),
         }
-        record = gonio.measure(scene, 0, **FEW)
-        cosine = np.cos(np.radians(theta))
-        assert np.allclose(record.dht, cosine**2 / 2, rtol=0, atol=ROUNDING)
+        record = gonio.measure(pair, 0, **FEW)
+        assert _near(record.dht, np.cos(np.radians(theta)) ** 2 / 2)
         assert np.all(np.abs(record.dht_mueller) <= record.dht + ROUNDING)
 
 
@@ -231,32 +224,26 @@ def test_rough_conductor_is_facets_in_all_elements(facets):
     disagree(verdict(z(facets.swapaxes(-1, -2), 0, 1)))
 
 
-def test_intervals_cover_all_elements(facets):
-    covered = []
-    for seed in range(12):
-        record = gonio.measure(ROUGH, 50, 20, rays=2**13, seed=seed, **STATISTICAL)
-        low, high = record.interval(0.95, "brdf_mueller")
-        covered.append((low[:, :, 0] <= facets) & (facets <= high[:, :, 0]))
-    for where in (facets[..., 0, 0] > 0.2, facets[..., 0, 0] < 0.2):
-        agree(often_enough(np.mean(np.array(covered)[:, where], axis=(1, 2, 3))))
-
-
-def test_intervals_cover_degrees_of_polarisation(facets):
-    """Weak ones, of which noise has more than the light, and strong ones."""
+def test_intervals_cover_elements_and_degrees_of_polarisation(facets):
+    """Weak degrees, of which noise has more than the light, and strong ones."""
     lights = np.array([[1, 0, 0, 0], [1, 0, 0.6, 0.8]])
     stokes = facets @ lights.T
     lit = (stokes[..., 0, :] > 0.02).all(axis=-1)
     due = np.linalg.norm(stokes[lit][:, 1:], axis=1) / stokes[lit][:, 0]
     assert due.min() < 0.01
     assert due.max() > 0.99
-    covered, other = [], []
+    wrong = np.where(due > 0.5, due - 0.1, due + 0.1)
+    elements, covered, other = [], [], []
     for seed in range(12):
         record = gonio.measure(ROUGH, 50, 20, rays=2**13, seed=seed, **STATISTICAL)
+        low, high = record.interval(0.95, "brdf_mueller")
+        elements.append((low[:, :, 0] <= facets) & (facets <= high[:, :, 0]))
         limits = [record.degree_interval(light, 0.95) for light in lights]
         low, high = np.stack(limits, axis=-1)[:, lit, 0]
         covered.append(np.mean((low <= due) & (due <= high)))
-        wrong = np.where(due > 0.5, due - 0.1, due + 0.1)
         other.append(np.mean((low <= wrong) & (wrong <= high)))
+    for where in (facets[..., 0, 0] > 0.2, facets[..., 0, 0] < 0.2):
+        agree(often_enough(np.mean(np.array(elements)[:, where], axis=(1, 2, 3))))
     agree(often_enough(covered))
     disagree(often_enough(other))
 
@@ -402,32 +389,15 @@ def test_own_bsdfs_depolarise():
 
 
 def test_what_no_surface_does_is_invalid():
-    class Impossible(mi.BSDF):
-        """Mirror that polarises light by more than there is."""
+    class Impossible(plain_bsdf.plain()):
+        """Polarises light by more than there is."""
 
-        def __init__(self, props):
-            mi.BSDF.__init__(self, props)
-            self.m_flags = mi.BSDFFlags.DeltaReflection | mi.BSDFFlags.FrontSide
-            self.m_components = [self.m_flags]
-
-        def sample(self, ctx, si, sample1, sample2, active=True):  # noqa: ARG002
-            bs = mi.BSDFSample3f()
-            bs.wo, bs.pdf, bs.eta = mi.reflect(si.wi), 1.0, 1.0
-            bs.sampled_type = mi.UInt32(+mi.BSDFFlags.DeltaReflection)
+        def weight(self, ctx, si, bs):  # noqa: ARG002
             weight = mi.Spectrum(0.5)
             weight[0, 1] = mi.UnpolarizedSpectrum(0.6)
-            return bs, weight
+            return weight
 
-        def eval(self, ctx, si, wo, active=True):  # noqa: ARG002
-            return mi.Spectrum(0)
-
-        def pdf(self, ctx, si, wo, active=True):  # noqa: ARG002
-            return mi.Float(0)
-
-        def to_string(self):
-            return "Impossible[]"
-
-    mi.register_bsdf("impossible", Impossible)
+    plain_bsdf.register([Impossible])
     with pytest.warns(RuntimeWarning, match="elements above the first"):
         record = gonio.measure({"type": "impossible"}, 40, 20, **FEW)
     assert record.ledger.invalid == record.ledger.emitted

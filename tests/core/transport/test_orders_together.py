@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from specimens import GREY
 
 import gonio_mi as gonio
 from gonio_mi.cli import main
@@ -13,11 +14,8 @@ from gonio_mi.results.tally import Fate, Ledger
 from gonio_mi.settings.values import Order
 from gonio_mi.transport.exits import OrderClasses
 
-pytestmark = pytest.mark.usefixtures("mono")
-
 SCENES = Path(__file__).parents[3] / "scenes"
 ORDERS = (0, 1, "2+", 6, "all")
-GREY = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": 0.8}}
 HILLS = {"type": "heightfield", "alpha": 0.8, "resolution": 16, "bsdf": GREY}
 SPECIMENS = {
     "hills": (HILLS, {"period": "box", "rr_depth": 1, "max_depth": 4}),
@@ -47,6 +45,9 @@ def test_together_and_one_by_one_are_the_same(name):
         assert said[0] == said[1]
     counts = [together[text].counts.sum() for text in ("0", "1", "2+")]
     assert sum(counts) == together["all"].counts.sum()
+    aside = [together[text].ledger.over_the_edge for text in ("0", "1", "2+", "all")]
+    assert sum(aside[:3]) == aside[3]
+    assert (aside[3] > 0) == (name == "edges")
     if name != "plane":
         assert min(counts[1:]) > 0
 

@@ -87,7 +87,7 @@ def test_the_table_of_the_handbook(request, variant, monkeypatch):
 
 
 @pytest.mark.parametrize("g", [-0.95, -0.9, -0.5, -0.1, 1e-4, 0.2, 0.6, 0.9, 0.95])
-def test_no_false_alarm(mono, g):  # noqa: ARG001
+def test_no_false_alarm(g):
     assert phase_defect(mi.load_dict({"type": "hg", "g": g}), lanes(), *BOX) is None
 
 
@@ -117,7 +117,7 @@ def isotropic(*, density=1 / (4 * np.pi), weight=1.0, fails=False):
     return mi.load_dict({"type": "isotropic_in_python"})
 
 
-def test_phase_functions_in_python(mono):  # noqa: ARG001
+def test_phase_functions_in_python():
     """Right ones, one without `eval_pdf`, and a few that lose or create light."""
     assert phase_defect(isotropic(), lanes(), *BOX) is None
     assert phase_defect(isotropic(fails=True), lanes(), *BOX) is None
@@ -126,7 +126,7 @@ def test_phase_functions_in_python(mono):  # noqa: ARG001
     assert "infinite, NaN or" in phase_defect(isotropic(density=-1.0), lanes(), *BOX)
 
 
-def test_ctrl_c_is_no_failure(mono, monkeypatch):  # noqa: ARG001
+def test_ctrl_c_is_no_failure(monkeypatch):
     """Neither is it where a loop of Dr.Jit has wrapped it."""
 
     def pressed(*_):
@@ -164,7 +164,7 @@ def share_up(diagonal, theta_i, n=1500):
 @pytest.mark.parametrize(
     ("diagonal", "right"), [((1.0, 1.0, 1.0), True), ((0.02, 0.02, 1.0), False)]
 )
-def test_a_thin_slab_of_flakes(mono, tmp_path, capsys, diagonal, right):  # noqa: ARG001
+def test_a_thin_slab_of_flakes(tmp_path, capsys, diagonal, right):
     """Single scattering of 2e6 rays, within statistics and the optical depth of 1e-3.
 
     What the warning says is so: `eval` is right, and `sample` is not.
@@ -194,7 +194,7 @@ def test_a_thin_slab_of_flakes(mono, tmp_path, capsys, diagonal, right):  # noqa
     assert ("SGGXPhaseFunction disagree" in capsys.readouterr().out) == (not right)
 
 
-def test_a_specimen_is_asked_once(mono, monkeypatch):  # noqa: ARG001
+def test_a_specimen_is_asked_once(monkeypatch):
     """Once for all directions, and again if its numbers change; all records tell it."""
     asked = []
 

@@ -4,6 +4,7 @@ References: closed forms of what straight rays pass, and an own tracer of thread
 and grids in NumPy (`blinds`).
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import gonio_mi as gonio
@@ -13,15 +14,19 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from blinds import Bar, Slat, direct_share, follow, shapes
-from budget import Verdict, agree, disagree, normal_scores, single, verdict
-from scipy import stats
+from budget import (
+    agree,
+    disagree,
+    normal_scores,
+    of_total,
+    often_enough,
+    single,
+    verdict,
+)
 
 from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.results.summary import summarize
 from gonio_mi.results.summary_text import summary_text
-from gonio_mi.results.tally import Tally
-
-pytestmark = pytest.mark.usefixtures("mono")
 
 SCENES = Path(__file__).parents[3] / "scenes"
 
@@ -31,10 +36,12 @@ SPECIMENS = {
     "threads": ([Bar(0, 0, 0, 0.2)], 0.8, 55, 50),
     "grid": ([Slat(1, 0, 0, 0.5, 0), Slat(0, 0, 0, 0.4, 0)], 0.7, 40, 30),
 }
-CROSSED_THREADS = [Bar(0, -0.5, -0.3, 0.3), Bar(1, -0.5, -0.9, 0.3)]
+# those of the scene file
+CROSSED_THREADS = ([Bar(0, -0.5, -0.3, 0.3), Bar(1, -0.5, -0.9, 0.3)], 0.8, 30, 0)
 BLACK = [Slat(1, 0, 0, 0.5, 0), Slat(0, 0, 0, 0.4, 10)]
 ESTIMATORS = ("weighted", "analog", "next_event")
 GRID = "projected:4x6"
+RAYS = 50_000
 
 
 def plate(width, depth, rho=0.6):
@@ -59,13 +66,8 @@ def measured(parts, rho, theta_i, phi_i, **settings):
         shapes(parts, rho),
         theta_i,
         phi_i,
-        **({"period": (1, 1), "collector": GRID, "rays": 100_000} | settings),
+        **({"period": (1, 1), "collector": GRID, "rays": RAYS} | settings),
     )
-
-
-def score(value, std_err, truth, n_batches=16):
-    """Verdict on a mean of batches."""
-    return single(normal_scores((value - truth) / std_err, n_batches - 1).item())
 
 
 # ------------------------------------------------------------------------- its totals
@@ -87,18 +89,12 @@ def test_direct_light_is_that_of_the_closed_form(name):
 @pytest.mark.parametrize("name", [*SPECIMENS, "crossed threads"])
 def test_totals_are_those_of_an_own_tracer(name, estimator):
     """Twin: what passes the openings is left out of the incident light."""
-    if name == "crossed threads":
-        parts, rho, theta_i, phi_i = CROSSED_THREADS, 0.8, 30, 0
-        record = gonio.measure(
-            SCENES / "crossed_threads.xml",
-            theta_i,
-            estimator=estimator,
-            rays=100_000,
-            collector=GRID,
-        )
+    parts, rho, theta_i, phi_i = given = SPECIMENS.get(name, CROSSED_THREADS)
+    if name in SPECIMENS:
+        record = measured(*given, estimator=estimator)
     else:
-        parts, rho, theta_i, phi_i = SPECIMENS[name]
-        record = measured(parts, rho, theta_i, phi_i, estimator=estimator)
+        settings = {"estimator": estimator, "rays": RAYS, "collector": GRID}
+        record = gonio.measure(SCENES / "crossed_threads.xml", theta_i, **settings)
     own = follow(parts, 1.0, rho, theta_i, phi_i, 40_000)
     assert sum(record.ledger.rows.values()) == record.ledger.emitted
     assert record.ledger.missed == 0
@@ -120,21 +116,15 @@ def test_thin_screen_of_a_quarter(theta_i, estimator):
 
     The hole is a quarter of the square that Sobol's points fill evenly: exact.
     """
-    record = gonio.measure(
-        plate(0.5, 0.5),
-        theta_i,
-        period=(1, 1),
-        estimator=estimator,
-        rays=2**16,
-        collector=GRID,
-    )
+    settings = {"period": (1, 1), "rays": 2**16, "collector": GRID}
+    record = gonio.measure(plate(0.5, 0.5), theta_i, estimator=estimator, **settings)
     assert record.direct == record.dht == 0.25
     assert record.ledger.direct == 2**14
     if estimator == "weighted":  # no more than the rounding of single precision
         assert abs(record.dhr - 0.45) < 2.0**-22
     else:
-        agree(score(record.dhr, record.dhr_std_err, 0.45))
-    disagree(score(record.dhr, record.dhr_std_err + 1e-6, 0.6))
+        agree(of_total(record, 0.45))
+    assert abs(record.dhr - 0.6) > 10 * (record.dhr_std_err + 1e-6)
 
 
 # ------------------------------------------------------------- where it is, and its row
@@ -178,6 +168,8 @@ def test_orders_and_direct_light_add_up(estimator):
         )
     assert np.array_equal(tallies[0].sums[:, 1].sum(axis=(1, 2)), tally.direct)
     assert by_order[0].direct == by_order[0].dht == total.direct > 0
+    assert by_order[1].ledger.other_order > 0 == total.ledger.other_order
+    assert all(record.ledger.emitted == RAYS for record in by_order)
     assert [record.direct[0] for record in by_order[1:]] == [0, 0, 0]
     assert all(np.array_equal(t.incident, tally.incident) for t in tallies)
 
@@ -225,8 +217,8 @@ def test_more_wavelengths_than_a_ray_carries(spectral):  # noqa: ARG001
     low, high = record.interval(of="direct")
     share = direct_share(SPECIMENS["grid"][0], *SPECIMENS["grid"][2:])
     assert np.all((low < record.direct) & (record.direct < high))
-    agree(score(record.direct[0], record.direct_std_err[0], share))
-    disagree(score(record.direct[0], record.direct_std_err[0], 1.05 * share))
+    agree(of_total(record, share, "direct"))
+    disagree(of_total(record, 1.05 * share, "direct"))
 
 
 def test_direct_light_of_merged_and_grown_batches():
@@ -264,31 +256,25 @@ def test_porous_specimen_is_reciprocal():
     parts, rho = [Slat(1, 0, 0, 0.7, 25), Slat(0, 0, -1, 0.3, -40)], 0.8
     pairs = [(20, 60, 0, 180), (70, 30, 120, 40), (10, 75, 300, 100), (50, 60, 90, 350)]
     settings = {"batches": 64, "rays": 2**17}
+    settings["estimator"] = "next_event"
+
+    def aimed(theta_i, phi_i, theta_o, phi_o):
+        """BRDF and its standard error, and what passes."""
+        aperture = f"apertures:1@{theta_o}/{phi_o}"
+        record = measured(parts, rho, theta_i, phi_i, collector=aperture, **settings)
+        return record.brdf.item(0), record.brdf_std_err.item(0), record.direct[0]
+
     scores, twins = [], []
     for theta_a, theta_b, phi_a, phi_b in pairs:
-        there, back = (
-            measured(
-                parts,
-                rho,
-                theta_i,
-                phi_i,
-                collector=f"apertures:1@{theta_o}/{phi_o}",
-                estimator="next_event",
-                **settings,
-            )
-            for theta_i, phi_i, theta_o, phi_o in (
-                (theta_a, phi_a, theta_b, phi_b),
-                (theta_b, phi_b, theta_a, phi_a),
-            )
-        )
-        f, df, g, dg = (
-            float(getattr(record, name).ravel()[0])
-            for record in (there, back)
-            for name in ("brdf", "brdf_std_err")
-        )
+        f, df, passed = aimed(theta_a, phi_a, theta_b, phi_b)
+        g, dg, other = aimed(theta_b, phi_b, theta_a, phi_a)
         scores.append((f - g) / np.hypot(df, dg))
-        f, df = np.array([f, df]) / (1 - there.direct)
-        g, dg = np.array([g, dg]) / (1 - back.direct)
+        f, df, g, dg = (
+            f / (1 - passed),
+            df / (1 - passed),
+            g / (1 - other),
+            dg / (1 - other),
+        )
         twins.append((f - g) / np.hypot(df, dg))
     agree(verdict(normal_scores(np.array(scores), 63)))
     disagree(verdict(normal_scores(np.array(twins), 63)))
@@ -307,40 +293,26 @@ def test_intervals_cover_what_is_known(estimator, sampler):
     open_area, rho, runs = 0.45 * 0.55, 0.6, 20
     patches = gonio.subdivision("projected:2x4")
     spread = rho * (1 - open_area) / np.pi
-    covers = {"dhr": [], "dht": [], "direct": [], "brdf": [], "btdf": [], "twin": []}
-    truths = {"dhr": rho * (1 - open_area), "dht": open_area, "direct": open_area}
-    truths["brdf"] = np.full((2, 4), spread)
     through = patches.patch(straight_on(30, 20))[0]
-    truths["btdf"] = open_area / patches.projected_solid_angles.ravel()[through]
+    straight = open_area / patches.projected_solid_angles.ravel()[through]
+    truths = {"dhr": rho * (1 - open_area), "dht": open_area, "direct": open_area}
+    truths |= {"brdf": spread, "btdf": straight}
+    covers = {of: [] for of in (*truths, "twin")}
     specimen = load_specimen(plate(0.45, 0.55, rho))
+    settings = {"estimator": estimator, "sampler": sampler, "rays": 4000}
+    settings |= {"collector": patches, "period": (1, 1)}
     for seed in range(runs):
-        record = gonio.measure(
-            specimen,
-            30,
-            20,
-            period=(1, 1),
-            collector=patches,
-            estimator=estimator,
-            sampler=sampler,
-            seed=seed,
-            rays=4000,
-        )
+        record = gonio.measure(specimen, 30, 20, seed=seed, **settings)
         for of, truth in truths.items():
-            low, high = (
-                np.asarray(limit).squeeze() for limit in record.interval(of=of)
-            )
+            low, high = (limit.ravel() for limit in record.interval(of=of))
             if of == "btdf":
-                low, high = low.ravel()[through], high.ravel()[through]
-            covers[of].append((low <= truth) & (truth <= high))
+                low, high = low[through], high[through]
+            covers[of].append(np.mean((low <= truth) & (truth <= high)))
             if of == "dhr":
-                covers["twin"].append((low <= rho) & (rho <= high))
-    for of, covered in covers.items():
-        covered = np.array(covered)
-        tail = stats.binom.cdf(covered.sum(), covered.size, 0.95)
-        if of == "twin":
-            disagree(Verdict({"coverage": tail}))
-        else:
-            agree(Verdict({"coverage": tail}))
+                covers["twin"].append(np.mean((low <= rho) & (rho <= high)))
+    disagree(often_enough(covers.pop("twin")))
+    for covered in covers.values():
+        agree(often_enough(covered))
 
 
 # -------------------------------------------------------------- what is said and kept
@@ -350,7 +322,7 @@ def said(record):
     return " ".join(summarize(record).warnings)
 
 
-def test_show_tells_direct_light_apart():
+def test_show_tells_direct_light_apart_and_files_keep_it(tmp_path):
     record = measured(*SPECIMENS["grid"])
     numbers = summarize(record)
     (direct,) = numbers.directions[0].direct
@@ -362,6 +334,12 @@ def test_show_tells_direct_light_apart():
     assert any(line[:1] == ["direct"] for line in lines)
     assert "period 1.0,1.0, order all" in " ".join(text.split())
     assert "passed openings of the periodic cell" in said(record)
+    for name in ("grid.npz", "grid.exr"):
+        record.save(tmp_path / name)
+        again = gonio.load(tmp_path / name)
+        assert again == record
+        assert again.direct == record.direct > 0
+    assert record.tallies[0] != replace(record.tallies[0], direct=None)
     finite = measured(*SPECIMENS["grid"], period="none")
     assert summarize(finite).directions[0].direct is None
     assert finite.direct == 0
@@ -372,25 +350,12 @@ def test_show_tells_direct_light_apart():
 
 def test_plot_says_order_and_period():
     plot = pytest.importorskip("gonio_mi.plots").plot
-    record = measured(*SPECIMENS["grid"], rays=10_000)
+    record = measured(*SPECIMENS["grid"], order="2+")
     title = plot(record)._suptitle.get_text()
     assert "period\N{NO-BREAK SPACE}1.0,1.0" in title
+    assert "order\N{NO-BREAK SPACE}2+" in title
+    title = plot(measured(*SPECIMENS["grid"]))._suptitle.get_text()
     assert "direct\N{NO-BREAK SPACE}0." in title
-    order = measured(*SPECIMENS["grid"], rays=10_000, order="2+")
-    assert "order\N{NO-BREAK SPACE}2+" in plot(order)._suptitle.get_text()
-
-
-@pytest.mark.parametrize("ending", ["npz", "exr"])
-def test_files_keep_direct_light(tmp_path, ending):
-    record = measured(*SPECIMENS["grid"], rays=10_000)
-    record.save(tmp_path / f"grid.{ending}")
-    again = gonio.load(tmp_path / f"grid.{ending}")
-    assert again == record
-    assert again.direct == record.direct > 0
-    tally = record.tallies[0]
-    assert again.tallies[0] != Tally(
-        tally.hits, tally.sums, tally.incident, tally.fates, tally.scale
-    )
 
 
 @pytest.mark.needs("materials")
