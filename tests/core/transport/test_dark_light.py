@@ -41,9 +41,6 @@ def groove(rho, half_angle=40):
     return grooves(half_angle, 1, bsdf=both_sided(matte(rho)))
 
 
-# ------------------------------------------------------------------ the sums themselves
-
-
 ORDINARY = [1.0, 0.3, 2**-13, 7.99]
 RARE = [2**-13.01, 8.0, 1e-6, 1e-12, 1e-30, 1.2e-38, 3e5, 1e30]
 
@@ -75,9 +72,6 @@ def test_a_launch_of_the_largest_ordinary_powers_does_not_overflow():
     assert 2**24 * int(largest * ONE) < 2**63
     assert 2**24 * 2**32 < 2**63
     assert 1e12 * WEIGHT_SCALE + 1e4 > 1e12 * WEIGHT_SCALE
-
-
-# ------------------------------------------------------------------ closed forms
 
 
 @pytest.mark.parametrize("transmittance", [0.3, 1e-4, 1e-9, 1e-30])
@@ -198,9 +192,6 @@ def test_analog_rays_through_dark_filters(sampler, rgb):  # noqa: ARG001
     few = chances[1] * 2**27
     agree(Verdict({"many": poisson.sf(none - 1, few)}))
     disagree(Verdict({"many": poisson.sf(2**3 - 1, few)}))
-
-
-# ------------------------------------------------------------------ exact properties
 
 
 @pytest.mark.parametrize("estimator", ["weighted", "next_event"])

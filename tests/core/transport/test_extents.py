@@ -1,8 +1,5 @@
 """The box of a finite specimen is that of its surface, whatever shape it is made of."""
 
-import gonio_mi as gonio
-
-# isort: split
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -10,6 +7,7 @@ from budget import agree, disagree, single
 from scipy.interpolate import BSpline
 from specimens import GREY
 
+import gonio_mi as gonio
 from gonio_mi.transport import shapes
 from gonio_mi.transport.shapes import bounds
 
@@ -37,9 +35,6 @@ def tilted_grid():
 
 def box(shape):
     return np.array(bounds([mi.load_dict(shape)]))
-
-
-# -------------------------------------------------------------------------- the boxes
 
 
 @pytest.mark.parametrize("radius", [0.1, None])
@@ -84,9 +79,6 @@ def test_other_boxes_are_mitsubas():
     ball, disk = {"type": "sphere", "radius": 0.5}, {"type": "disk", "to_world": turned}
     low, high = bounds([mi.load_dict(ball), mi.load_dict(disk)])
     assert np.allclose([-low, high], [1, 1, 0.5], atol=SINGLE)
-
-
-# ------------------------------------------------------------ what is judged by them
 
 
 def same_geometry(name, path):

@@ -1,8 +1,5 @@
 """Free-standing specimens: light counts by its direction, whatever side it passes."""
 
-import gonio_mi as gonio
-
-# isort: split
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -17,6 +14,7 @@ from budget import (
 from slabs import medium
 from specimens import GREY, both_sided, heightfield, specimen_of
 
+import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
 from gonio_mi.results.summary import summarize
 
@@ -47,9 +45,6 @@ def measured(shape, theta_i=THETA_I, bsdf=WHITE, **settings):
         "sampler": "independent",
     } | settings
     return gonio.measure(shape | {"bsdf": bsdf}, theta_i, **settings)
-
-
-# -------------------------------------------------------------- convex bodies, far away
 
 
 @pytest.mark.parametrize(
@@ -103,9 +98,6 @@ def test_a_white_sphere_is_lamberts(estimator):
         agree(verdict(scores(record, expected[hemisphere], hemisphere)))
         mirrored = np.roll(expected[hemisphere], 3, axis=1)
         disagree(verdict(scores(record, mirrored, hemisphere)))
-
-
-# ------------------------------------------------------------------- a collector nearby
 
 
 def lit_points(body, n, rng):
@@ -164,8 +156,6 @@ def test_white_bodies_in_a_collector_nearby(body):
         disagree(verdict(difference_scores(record, far, hemisphere)))
 
 
-# ------------------------------------------------------------------------------- plates
-
 MIRROR = both_sided(
     {"type": "conductor", "material": "none", "specular_reflectance": 0.75}
 )
@@ -202,9 +192,6 @@ def test_tilted_mirrors_reflect_all_in_one_direction(
     up = direction(np.radians(min(theta_o, 180 - theta_o)), azimuth)
     number = record.subdivision.patch(up)
     assert np.flatnonzero(record.counts[int(below)]).tolist() == [number]
-
-
-# ------------------------------------------------------------------ media and profiles
 
 
 def test_a_ball_of_white_fog_loses_nothing():
@@ -245,9 +232,6 @@ def test_exit_profile_of_a_white_block():
     assert abs(rings - 1) < 1e-5
     assert not found.beyond.any()
     assert found.ledger.over_the_edge > 0
-
-
-# ----------------------------------------------------------------------------- warnings
 
 
 def pane():

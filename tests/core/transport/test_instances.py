@@ -1,13 +1,12 @@
 """Specimens of instances: what a shape group holds, many times over."""
 
-import gonio_mi as gonio
-
-# isort: split
 import mitsuba as mi
 import numpy as np
 import pytest
 from budget import agree, disagree, of_total
 from specimens import diffuse_groove_dhr
+
+import gonio_mi as gonio
 
 HALF_ANGLE = 30.0
 

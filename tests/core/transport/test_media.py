@@ -2,9 +2,6 @@
 
 from pathlib import Path
 
-import gonio_mi as gonio
-
-# isort: split
 import iadpython
 import mitsuba as mi
 import numpy as np
@@ -21,6 +18,7 @@ from budget import (
 )
 from slabs import NULL, medium, rectangle, stack
 
+import gonio_mi as gonio
 from gonio_mi.instrument import recording
 from gonio_mi.instrument.launcher import LaunchSize
 from gonio_mi.results.summary import summarize

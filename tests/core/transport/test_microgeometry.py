@@ -3,9 +3,6 @@
 import functools
 from dataclasses import replace
 
-import gonio_mi as gonio
-
-# isort: split
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -37,6 +34,7 @@ from specimens import (
     with_faces,
 )
 
+import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
 from gonio_mi.results.summary import summarize
 from gonio_mi.results.tally import Fate
@@ -344,35 +342,13 @@ def test_periodic_field_is_reciprocal():
 # ---------------------------------------------------------------------- single scatter
 
 
-def smith_albedo(alpha, theta_i, n=200_000):
-    """Order-1 albedo of Beckmann-rough mirrors: Smith, height-correlated.
-
-    The mean of G2 / G1 over visible normals, by inverting the marginal slopes.
-    """
-
-    def lam(cosine):
-        a = np.sqrt(2) / (alpha * np.tan(np.arccos(cosine)))
-        return stats.norm.pdf(a) / a - stats.norm.sf(a)
-
-    rng = np.random.default_rng(0)
-    slope = rng.normal(0, alpha / np.sqrt(2), (n, 2))
-    m = np.c_[-slope, np.ones(n)] / np.sqrt(1 + (slope**2).sum(axis=1))[:, None]
-    wi = direction(np.radians(theta_i), 0.0)
-    # visible area of each facet per projected area
-    visible = np.maximum(m @ wi, 0) / m[:, 2]
-    wo = 2 * (m @ wi)[:, None] * m - wi
-    up = wo[:, 2] > 0
-    ratio = (1 + lam(wi[2])) / (1 + lam(wi[2]) + lam(wo[up, 2]))
-    return visible[up] @ ratio / visible.sum()
-
-
-def test_single_scattering_follows_smith():
-    """Convergence: of one surface at finer grids, order 1 settles, near Smith's value.
+def test_single_scattering_settles():
+    """Convergence: of one surface at finer grids, order 1 settles.
 
     Facets of a grid are its chords: their slopes, and with them the share of rays that
     scatter once, change at second order of the spacing.
     """
-    from gonio_mi.surfaces.heights import gaussian_heights, height_statistics
+    from gonio_mi.surfaces.heights import gaussian_heights
 
     n = 512
     z = gaussian_heights((n, n), 2 / n, (0.5, 0.5), 0.1, seed=1)
@@ -384,7 +360,3 @@ def test_single_scattering_follows_smith():
         shares.append(np.mean(rays.depth == 1))
     steps = np.abs(np.diff(shares))
     assert steps[-1] < steps[-2] < steps[-3], f"{shares}"
-    statistics = height_statistics(z, 2 / n)
-    alpha = np.sqrt(statistics.alpha_u * statistics.alpha_v)
-    biases = np.abs(np.array(shares) - smith_albedo(alpha, 30))
-    assert biases[-1] < biases[1] < biases[0], f"{biases}"

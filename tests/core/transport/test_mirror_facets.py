@@ -2,15 +2,13 @@
 
 import warnings
 
-import gonio_mi as gonio
-
-# isort: split
 import mitsuba as mi
 import numpy as np
 import pytest
 from budget import agree, difference_scores, disagree, often_enough, single, verdict
 from specimens import MIRROR, both_sided, heightfield, mesh, with_faces
 
+import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
 from gonio_mi.instrument.launcher import Launcher
 from gonio_mi.instrument.setup import set_up

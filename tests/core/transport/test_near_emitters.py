@@ -1,12 +1,11 @@
 """Small emitters near to a large specimen, and far off its middle."""
 
-import gonio_mi as gonio
-
-# isort: split
 import mitsuba as mi
 import numpy as np
 import pytest
 from budget import agree, disagree, of_total
+
+import gonio_mi as gonio
 
 HALF = 50.0
 

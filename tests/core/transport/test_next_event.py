@@ -2,9 +2,6 @@
 
 from functools import cache
 
-import gonio_mi as gonio
-
-# isort: split
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -34,6 +31,7 @@ from specimens import (
     spheres_on_a_plane,
 )
 
+import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
 from gonio_mi.errors import SpecimenError
 from gonio_mi.instrument.loading import load_specimen

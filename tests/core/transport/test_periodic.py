@@ -1,14 +1,12 @@
 """A periodic cell stands for an infinite surface."""
 
-import gonio_mi as gonio
-
-# isort: split
 import mitsuba as mi
 import numpy as np
 import pytest
 from budget import agree, disagree, single, two_sample
 from specimens import grooves, heightfield, traced
 
+import gonio_mi as gonio
 from gonio_mi.errors import SpecimenError
 
 RAYS = 100_000

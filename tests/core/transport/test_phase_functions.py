@@ -8,15 +8,13 @@ import re
 import warnings
 from pathlib import Path
 
-import gonio_mi as gonio
-
-# isort: split
 import mitsuba as mi
 import numpy as np
 import pytest
 from budget import agree, disagree, single
 from slabs import medium, stack
 
+import gonio_mi as gonio
 from gonio_mi import cli
 from gonio_mi.instrument import setup
 from gonio_mi.transport import media
@@ -136,9 +134,6 @@ def test_ctrl_c_is_no_failure(monkeypatch):
     monkeypatch.setattr(type(phase), "eval_pdf", pressed)
     with pytest.raises(RuntimeError):
         phase_defect(phase, lanes(), *BOX)
-
-
-# --------------------------------------------------- a thin slab, in closed form
 
 
 def share_up(diagonal, theta_i, n=1500):

@@ -146,9 +146,6 @@ def test_textured_rectangle(trace):
     disagree(single(z + 0.02 * np.sqrt(RAYS)))
 
 
-# ------------------------------------------------------------- the same everywhere
-
-
 def of_bitmap(pixels, **settings):
     """A BSDF for each way in which a texture is nested in others."""
     texture = bitmap(pixels, **settings)

@@ -7,9 +7,6 @@ and grids in NumPy (`blinds`).
 from dataclasses import replace
 from pathlib import Path
 
-import gonio_mi as gonio
-
-# isort: split
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -24,6 +21,7 @@ from budget import (
     verdict,
 )
 
+import gonio_mi as gonio
 from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.results.summary import summarize
 from gonio_mi.results.summary_text import summary_text

@@ -1,8 +1,5 @@
 """Media between planes, held against the exact theory of radiative transfer."""
 
-import gonio_mi as gonio
-
-# isort: split
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -11,6 +8,7 @@ from budget import agree, difference_scores, disagree, normal_scores, scores, ve
 from plates import plate, rings
 from slabs import chandrasekhar, medium, rectangle, stack
 
+import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
 from gonio_mi.single_precision import ROUNDING
 

@@ -1,14 +1,12 @@
 """Wavelengths beyond the data of a scene are refused, and no others."""
 
-import gonio_mi as gonio
-
-# isort: split
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
 from specimens import both_sided, lamp
 
+import gonio_mi as gonio
 from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.instrument.setup import set_up
 from gonio_mi.settings import MeasurementSettings
@@ -90,7 +88,11 @@ COVERED = {
     "grey bitmap": (lambda: diffuse(bitmap(1)), [1550]),
     "raw bitmap": (lambda: diffuse(bitmap(1, raw=True)), [1550]),
     "normal map": (
-        lambda: {"type": "normalmap", "a": bitmap(3, raw=True), "b": diffuse(0.5)},
+        lambda: {
+            "type": "normalmap",
+            "normalmap": bitmap(3, raw=True),
+            "b": diffuse(0.5),
+        },
         [1550],
     ),
     "chequered": (

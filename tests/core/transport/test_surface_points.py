@@ -6,9 +6,6 @@ azimuth, whose p-values are added up (Bonferroni), not as if independent.
 
 from contextlib import suppress
 
-import gonio_mi as gonio
-
-# isort: split
 import budget
 import mitsuba as mi
 import numpy as np
@@ -26,6 +23,7 @@ from specimens import (
     with_faces,
 )
 
+import gonio_mi as gonio
 from gonio_mi.campaigns.campaign import campaign
 from gonio_mi.collector.directions import direction
 from gonio_mi.errors import SettingError, SpecimenError

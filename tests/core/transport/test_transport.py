@@ -16,8 +16,6 @@ from specimens import lamp
 import gonio_mi as gonio
 from gonio_mi.transport.specimen import Specimen
 
-# ------------------------------------------------------------------------ emitters
-
 
 @functools.cache
 def mirrored_emitter(theta_i, emission, runs, radius=2.0, distance=5.0, n=100_000):
@@ -69,9 +67,6 @@ def against_runs(record, runs):
     # Welch's degrees of freedom
     dof = (a + b) ** 2 / (a**2 + b**2) * (len(own) - 1)
     return normal_scores((own.mean(axis=0) - runs.mean(axis=0)) / np.sqrt(a + b), dof)
-
-
-# ----------------------------------------------------------------------- the geometry
 
 
 @pytest.mark.parametrize("theta_i", [0, 60, 89, 89.99])
