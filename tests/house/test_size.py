@@ -17,7 +17,7 @@ BUDGET = {
     "files": 1470,
     "surfaces": 720,
     "plots": 830,
-    "transport": 4130,
+    "transport": 4090,
     "quadrature": 770,
     "instrument": 1670,
     "campaigns": 620,

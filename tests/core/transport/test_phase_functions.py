@@ -62,7 +62,7 @@ ROWS = [(name + more.rstrip(), float(x), told) for name, more, x, told in ROWS]
 ROWS = [row for row in ROWS if row[2] in ("yes", "no")]
 
 
-@pytest.mark.parametrize("variant", ["mono", "rgb", "spectral"])
+@pytest.mark.parametrize("variant", ["mono", "spectral"])
 def test_the_table_of_the_handbook(request, variant, monkeypatch):
     """All stock phase functions; the last digit may be rounded elsewhere."""
     request.getfixturevalue(variant)
@@ -84,7 +84,7 @@ def test_the_table_of_the_handbook(request, variant, monkeypatch):
         assert (sentence is not None) == (told == "yes"), name
 
 
-@pytest.mark.parametrize("g", [-0.95, -0.9, -0.5, -0.1, 1e-4, 0.2, 0.6, 0.9, 0.95])
+@pytest.mark.parametrize("g", [-0.95, -0.5, 1e-4, 0.9, 0.95])
 def test_no_false_alarm(g):
     assert phase_defect(mi.load_dict({"type": "hg", "g": g}), lanes(), *BOX) is None
 
