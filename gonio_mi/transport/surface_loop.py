@@ -14,7 +14,7 @@ from .beam import Beam
 from .exits import Exits, exits_of
 from .plane import Plane, repeated
 from .polarisation import in_instrument_frames, new_light
-from .rays import START, Flight, encounter, flight_from, intersect, proceed
+from .rays import START, encounter, flight_from, intersect, proceed
 from .specimen import Specimen
 from .surface_events import (
     after_event,
@@ -84,7 +84,7 @@ def trace(
     wavelengths: mi.Spectrum,
     settings: PathSettings,
     deposits: Any = None,
-    begun: tuple[Flight, mi.UnpolarizedSpectrum] | None = None,
+    begun: Any = None,
 ) -> Exits:
     """Follow every ray through the geometry until it leaves, ends or is cut off.
 
