@@ -188,6 +188,38 @@ def test_a_ray_in_a_million_is_rounding(n, warned):
     assert bool(warnings) == warned
 
 
+@pytest.mark.parametrize(
+    ("fates", "transmission", "words"),
+    [
+        ({"rejected": 3}, "none", []),
+        ({"invalid": 1}, "none", ["are invalid"]),
+        ({"truncated": 1}, "none", ["were truncated by max_depth"]),
+        ({"sideways": 600}, "none", ["left sideways"]),
+        ({"missed": 600}, "none", ["missed the specimen"]),
+        ({"invalid": 1, "sideways": 600}, "none", ["are invalid", "left sideways"]),
+        ({"transmitted": 600}, "none", ["leaked to the other side"]),
+        ({"transmitted": 600}, "declared", []),
+    ],
+)
+def test_warnings(fates, transmission, words):
+    record = synthetic.record().with_settings(transmission=transmission)
+    for name, n in fates.items():
+        record = moved(record, Fate[name.upper()], n)
+    sentences = summarize(record).warnings
+    assert len(sentences) == len(words)
+    assert all(word in one for one, word in zip(sentences, words))
+
+
+def test_text_fits_and_holds_the_ledger():
+    record = moved(synthetic.record(), Fate.INVALID, 4)
+    text = summary_text(summarize(record))
+    assert max(map(len, text.splitlines())) <= 88
+    words = [line.split() for line in text.splitlines()]
+    for name, n in (record.ledger.rows | {"sum": 80_000}).items():
+        row = [name, *f"{n:,}".split(","), f"{n / 800:.4f}"]
+        assert (row in words) == (n > 0 or name == "transmitted")
+
+
 @pytest.mark.parametrize("row", [Fate.SIDEWAYS, Fate.MISSED])
 def test_losses_beyond_the_statistical_error_are_warned_of(row):
     record = synthetic.record()
@@ -208,6 +240,9 @@ def test_what_is_not_known_is_none():
     assert summarize(record).worst_patches == []
     text = " ".join(summary_text(summarize(record)).split())
     assert "their standard errors are not known" in text
+    assert " - - - " in text
+    numbers = summarize(record).as_mapping()
+    assert json.loads(json.dumps(numbers, allow_nan=False)) == numbers
 
 
 def test_integrals_say_what_stands_for_rays():
