@@ -177,13 +177,15 @@ def test_twin_the_same_record_untouched_is_read(path):
 
 @pytest.mark.usefixtures("rgb")
 @pytest.mark.parametrize(
-    "estimator", ["analog", "weighted", "next_event", "quadrature"]
+    ("specimen", "estimator"),
+    [
+        *(("dielectric", "analog"), ("dielectric", "quadrature")),
+        *(("diffuse", "analog"), ("roughdielectric", "weighted")),
+        *(("roughdielectric", "quadrature"), ("roughdielectric", "next_event")),
+    ],
 )
-@pytest.mark.parametrize("specimen", ["diffuse", "roughdielectric", "dielectric"])
 def test_what_is_measured_is_possible(tmp_path, estimator, specimen):
     """Records of the instrument keep what is asked of files, and files keep them."""
-    if (specimen, estimator) == ("dielectric", "next_event"):
-        pytest.skip("has nothing to deposit")
     settings = {"collector": "projected:4x6", "batches": 2, "estimator": estimator}
     if estimator != "quadrature":
         settings["rays"] = 2000
@@ -267,12 +269,12 @@ def test_absurd_apertures_take_no_memory(tmp_path):
 
 @pytest.mark.skipif(sys.platform != "linux", reason="peak memory in KiB")
 def test_a_small_file_with_large_arrays(tmp_path):
-    """1.5 GiB of zeros in 1.6 MB, whose shape agrees with nothing."""
+    """384 MiB of zeros in 0.4 MB, whose shape agrees with nothing."""
     path = tmp_path / "record.npz"
     RECORD.save(path)
     with zipfile.ZipFile(path) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
-    shape = (4, 2, 4096, 2048, 3)
+    shape = (1, 2, 4096, 2048, 3)
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, content in members.items():
             if name != "sums.npy":
@@ -281,8 +283,8 @@ def test_a_small_file_with_large_arrays(tmp_path):
             np.lib.format.write_array_header_1_0(
                 member, {"descr": "<u8", "fortran_order": False, "shape": shape}
             )
-            for _ in range(1536):
-                member.write(bytes(2**20))
+            for _ in range(384 // 64):
+                member.write(bytes(2**26))
     synthetic.seal_again(path)
     said, taken = peak(path)
     assert "its array sums of shape" in said
@@ -349,14 +351,12 @@ def test_the_exr_library_reads_nothing_that_is_damaged(tmp_path, capfd):
     [
         ("show record.npz", "1>&-"),
         ("show absent.npz", "2>&-"),
-        ("show record.npz", "0<&- 1>&- 2>&-"),
         ("show absent.npz", "0<&- 1>&- 2>&-"),
     ],
 )
 def test_closed_streams(tmp_path, closed, words):
     """With standard error closed, errors went to standard output, or a file."""
     RECORD.save(tmp_path / "record.npz")
-    command = f"{sys.executable} -m gonio_mi.cli {words} {closed}"
     source = "import sys; from gonio_mi.cli import main; sys.exit(main())"
     command = f'"{sys.executable}" -c "{source}" {words} {closed}'
     done = subprocess.run(
@@ -364,10 +364,7 @@ def test_closed_streams(tmp_path, closed, words):
     )
     assert done.returncode == ("absent" in words)
     assert "Traceback" not in done.stderr
-    if "absent" in words:
-        assert done.stdout == ""
-    elif "1>" not in closed:
-        assert "dhr" in done.stdout
+    assert done.stdout == ""
 
 
 class Gone:
@@ -393,7 +390,7 @@ def test_a_reader_of_errors_that_has_left(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     "words",
     [
-        "surface z.npy --size 2 -o a.png",
+        "surface z.npy --size 2 --points 1e3 -o a.png",
         "fit run.npz diffuse -o a.png a.npz",
         "export run.npz -o a.csv a.nc",
         "compare run.npz diffuse --rays 1e4 -o a.png --budget a.csv",
@@ -441,10 +438,14 @@ def test_a_pipe_is_written_through(tmp_path):
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")
-def test_a_full_disk_is_named(tmp_path, monkeypatch):
-    """Nothing takes the place of a device: here not even if it should be tried."""
+@pytest.mark.parametrize("ending", files.ENDINGS)
+def test_a_full_disk_is_named(tmp_path, monkeypatch, ending):
+    """Nothing takes the place of a device: here not even if it should be tried.
+
+    The EXR library itself does not report it.
+    """
     monkeypatch.setattr(os, "replace", lambda *_: pytest.fail("the device would go"))
-    link = tmp_path / "link.npz"
+    link = tmp_path / f"link{ending}"
     link.symlink_to("/dev/full")
     with pytest.raises(OSError, match="No space left") as caught:
         RECORD.save(link)
@@ -575,7 +576,7 @@ def test_printable_keeps_what_can_be_read():
     assert printable("a\r\tb\x9b") == r"a\r\tb\x9b"
 
 
-@pytest.mark.parametrize("length", [1, 80, 399, 400, 401, 5134, 10**6])
+@pytest.mark.parametrize("length", [1, 80, 399, 400, 401, 5134, 10**5])
 def test_messages_are_short(length):
     """Exact: the limits of characters, and both ends of what is cut."""
     for text in ("x" * length, "x " * length, "\x1b" * length, f"a {'b' * length} c"):
@@ -750,11 +751,6 @@ def as_included(name):
     return path
 
 
-@pytest.mark.parametrize("form", [as_dict, as_scene, as_included])
-def test_a_good_material_is_measured(material, form):
-    assert load_specimen(form(material())).shapes()
-
-
 def test_the_variant_that_a_material_needs_is_named(material):
     path = material()
     mi.set_variant("llvm_ad_mono")
@@ -779,25 +775,27 @@ def test_a_material_ends_with_its_wavelengths(material, form):
         gonio.measure(form(name), wavelengths=[550, 900], **settings)
 
 
+BAD_FIELDS = [
+    ({"ndf": None}, "its field ndf is missing"),
+    ({"ndf": np.ones((1, 2), np.float32)}, "ndf of shape"),
+    ({"rgb": np.ones((1, 3, 2, 4, 4), np.float32)}, "rgb of shape"),
+    ({"vndf": np.ones((1, 2, 2, 2), np.float32)}, "vndf of shape"),
+    ({"vndf": np.ones((1, 3, 2, 2))}, "vndf is float64"),
+    ({"vndf": np.zeros((1, 3, 2, 2), np.float32)}, "no density"),
+    ({"luminance": np.full((1, 3, 4, 4), np.nan, np.float32)}, "not finite"),
+    ({"theta_i": np.zeros(3, np.float32)}, "must ascend"),
+    ({"jacobian": np.zeros(0, np.uint8)}, "jacobian of shape"),
+]
+
+
 @pytest.mark.parametrize("form", [as_dict, as_scene, as_included])
-@pytest.mark.parametrize(
-    ("changes", "reason"),
-    [
-        ({"ndf": None}, "its field ndf is missing"),
-        ({"ndf": np.ones((1, 2), np.float32)}, "ndf of shape"),
-        ({"rgb": np.ones((1, 3, 2, 4, 4), np.float32)}, "rgb of shape"),
-        ({"vndf": np.ones((1, 2, 2, 2), np.float32)}, "vndf of shape"),
-        ({"vndf": np.ones((1, 3, 2, 2))}, "vndf is float64"),
-        ({"vndf": np.zeros((1, 3, 2, 2), np.float32)}, "no density"),
-        ({"luminance": np.full((1, 3, 4, 4), np.nan, np.float32)}, "not finite"),
-        ({"theta_i": np.zeros(3, np.float32)}, "must ascend"),
-        ({"jacobian": np.zeros(0, np.uint8)}, "jacobian of shape"),
-    ],
-)
-def test_bad_materials_never_reach_mitsuba(material, form, changes, reason):
-    specimen = form(material(**changes))
-    with pytest.raises(FileFormatError, match=reason):
-        load_specimen(specimen)
+def test_bad_materials_never_reach_mitsuba(material, form):
+    """In whatever form they are named; twin: a good one does."""
+    assert load_specimen(form(material())).shapes()
+    for changes, reason in BAD_FIELDS if form is as_dict else BAD_FIELDS[:1]:
+        specimen = form(material(**changes))
+        with pytest.raises(FileFormatError, match=reason):
+            load_specimen(specimen)
 
 
 @pytest.mark.parametrize("place", [2**20, 2**40, 2**63])

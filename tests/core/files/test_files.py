@@ -172,14 +172,6 @@ def test_a_link_is_written_through(tmp_path, ending):
     assert gonio.load(target) == RECORDS["plain"]
 
 
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")
-@pytest.mark.parametrize("name", ["npz", "exr"])
-def test_full_disk_is_an_error(name):
-    """The EXR library itself does not report it."""
-    with pytest.raises(OSError, match="No space"), open("/dev/full", "wb") as stream:
-        files.FORMATS[f".{name}"].write(RECORDS["plain"], stream)
-
-
 @pytest.mark.parametrize("name", ["map.tif", "map", "map.exr.gz", ".exr"])
 @pytest.mark.parametrize("function", [check_output, RECORDS["plain"].save, gonio.load])
 def test_unknown_ending(tmp_path, function, name):
@@ -229,20 +221,14 @@ def test_missing_file(tmp_path, ending):
         gonio.load(tmp_path / f"absent{ending}")
 
 
-def test_truncated(tmp_path, ending):
+def test_truncated(tmp_path, ending, capfd):
+    """One sentence, to which the EXR library would add lines on standard error."""
     path = saved(tmp_path, RECORDS["stack"], ending)
     data = path.read_bytes()
-    for length in [0, 1, 7, 100, len(data) // 3, len(data) // 2, len(data) - 1]:
+    n = len(data)
+    for length in [0, 1, 7, 100, n // 3, n // 2, n - 10_000, n - 100, n - 1]:
         path.write_bytes(data[:length])
-        refused(path)
-
-
-@pytest.mark.parametrize("missing", [1, 100, 10_000])
-def test_truncated_exr_is_one_sentence(tmp_path, capfd, missing):
-    """The EXR library would add lines to standard error."""
-    path = saved(tmp_path, RECORDS["stack"], ".exr")
-    path.write_bytes(path.read_bytes()[:-missing])
-    assert "truncated" in refused(path)
+        assert "truncated" in refused(path) or length < n // 3
     assert capfd.readouterr() == ("", "")
 
 
@@ -258,23 +244,6 @@ def test_one_more_count_does_not_agree_with_the_check_sum(tmp_path, part, direct
     assert "ends in no check sum" in refused(path)
     synthetic.seal_again(path)
     assert "check sum" in refused(path)
-
-
-def test_flipped_bits_never_give_another_record(tmp_path, ending):
-    record = RECORDS["stack of one"]
-    path = saved(tmp_path, record, ending)
-    data = path.read_bytes()
-    rng = np.random.default_rng(0)
-    n_refused = 0
-    for position in [*rng.integers(len(data), size=60), *rng.integers(3000, size=60)]:
-        flipped = bytearray(data)
-        flipped[position] ^= 1 << rng.integers(8)
-        path.write_bytes(flipped)
-        try:
-            assert gonio.load(path) == record
-        except gonio.FileFormatError:
-            n_refused += 1
-    assert n_refused > 0
 
 
 # ------------------------------------------------------------------ foreign files
