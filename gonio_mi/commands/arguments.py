@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import functools
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -23,7 +22,7 @@ from ..errors import (
     shortened,
 )
 from ..instrument.specimen_text import SpecimenLike
-from ..settings import Declaration, Kind, MeasurementSettings, declarations
+from ..settings import Kind, MeasurementSettings, declarations
 from ..start_up import PROGRAM
 from .file_kinds import check_kind
 
@@ -115,17 +114,12 @@ def add_scene_options(
 # --------------------------------------------------------- settings of a measurement
 
 
-@functools.cache
-def _declared() -> Mapping[str, Declaration]:
-    return declarations(MeasurementSettings)
-
-
 def add_settings_group(
     parser: argparse.ArgumentParser, title: str, description: str | None = None
 ) -> Any:
     """Group of a parser, with the options of the settings declared in it."""
     group = parser.add_argument_group(title.capitalize(), description)
-    for name, declared in _declared().items():
+    for name, declared in declarations(MeasurementSettings).items():
         if declared.group == title:
             add_setting(group, name)
     return group
@@ -144,7 +138,7 @@ def add_setting(group: Group, name: str, default: str | None = None) -> None:
         Kind.NUMBERS: {"type": number, "nargs": "+"},
         Kind.FLAG: {"action": "store_true", "default": None},
     }
-    declared = _declared()[name]
+    declared = declarations(MeasurementSettings)[name]
     reader = readers[declared.kind]
     if declared.kind is not Kind.FLAG:
         reader["metavar"] = declared.metavar
@@ -155,9 +149,8 @@ def add_setting(group: Group, name: str, default: str | None = None) -> None:
 
 def given_settings(options: argparse.Namespace) -> dict[str, Any]:
     """Values of all settings that the command has options for; None if not given."""
-    return {
-        name: getattr(options, name) for name in _declared() if hasattr(options, name)
-    }
+    names = declarations(MeasurementSettings)
+    return {name: getattr(options, name) for name in names if hasattr(options, name)}
 
 
 def given_options(options: argparse.Namespace, names: Sequence[str]) -> dict[str, Any]:

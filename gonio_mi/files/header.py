@@ -168,6 +168,24 @@ def _tally(arrays: dict[str, Numbers], scale: int) -> Tally:
     return kind(**arrays, scale=scale)
 
 
+def shapes_of_tally(
+    n_batches: int,
+    n_hemispheres: int | None,
+    patches: tuple[int, int],
+    n_channels: int,
+) -> dict[str, tuple[int | None, ...]]:
+    """Shapes of all arrays that a tally may have; None for what is not known."""
+    return {
+        "hits": (n_hemispheres, *patches),
+        "sums": (n_batches, n_hemispheres, *patches, n_channels),
+        "incident": (n_batches, n_channels),
+        "fates": (n_batches, len(Fate)),
+        "direct": (n_batches, n_channels),
+        "errors": (n_hemispheres, *patches, n_channels),
+        "elements": (n_batches, n_hemispheres, *patches, N_ELEMENTS, n_channels),
+    }
+
+
 def _check_shapes(
     arrays: dict[str, Numbers],
     patches: tuple[int, int],
@@ -181,21 +199,10 @@ def _check_shapes(
     n_hemispheres, n_batches = len(arrays["hits"]), len(arrays["fates"])
     require(n_hemispheres in (1, 2), f"it has {n_hemispheres} hemispheres")
     require(n_batches > 0, "it holds no batch")
-    shapes = {
-        "hits": (n_hemispheres, *patches),
-        "sums": (n_batches, n_hemispheres, *patches, n_channels),
-        "incident": (n_batches, n_channels),
-        "fates": (n_batches, len(Fate)),
-        "direct": (n_batches, n_channels),
-    }
-    if "errors" in arrays:
-        shapes["errors"] = (n_hemispheres, *patches, n_channels)
-    if "elements" in arrays:
-        of_elements = n_batches, n_hemispheres, *patches, N_ELEMENTS, n_channels
-        shapes["elements"] = of_elements
+    shapes = shapes_of_tally(n_batches, n_hemispheres, patches, n_channels)
     weights = arrays["incident"].dtype == np.float64
-    for name, shape in shapes.items():
-        array = arrays[name]
+    for name in (*Tally.arrays, *(arrays.keys() & {"errors", "elements"})):
+        array, shape = arrays[name], shapes[name]
         floats = weights and name in ("sums", "incident", "errors", "direct")
         floats |= name == "elements"
         kind = np.dtype(np.float64 if floats else np.uint64)

@@ -26,7 +26,6 @@ from ..array_types import Integers, Numbers
 from ..errors import check_memory
 from ..results.azimuth_symmetry import Motion, sources
 from ..results.record import Record
-from ..results.tally import N_ELEMENTS
 from .checks import PIECE, SEAL_LENGTH, check_seal, require, seal_of, size_of
 from .header import (
     MAX_EXPANSION,
@@ -37,6 +36,7 @@ from .header import (
     parsed_json,
     parsed_subdivision,
     rebuilt,
+    shapes_of_tally,
 )
 
 # Type, or one of several, and number of axes of each array.
@@ -216,17 +216,10 @@ def _shapes(
     """Shape that each array must have, with None for hemispheres and fates."""
     require(min(n_batches, default=0) > 0, "its numbers of batches must be positive")
     patches, channels = parsed_subdivision(header).shape, len(header["channels"])
-    n, total = len(n_batches), sum(n_batches)
-    return {
-        "hits": (n, None, *patches),
-        "errors": (n, None, *patches, channels),
-        "sums": (total, None, *patches, channels),
-        "elements": (total, None, *patches, N_ELEMENTS, channels),
-        "incident": (total, channels),
-        "direct": (total, channels),
-        "fates": (total, None),
-        "copies": (None, 3),
-    }
+    shapes = shapes_of_tally(sum(n_batches), None, patches, channels)
+    for name in WHOLE:
+        shapes[name] = len(n_batches), *shapes[name]
+    return shapes | {"fates": (sum(n_batches), None), "copies": (None, 3)}
 
 
 def _opened(

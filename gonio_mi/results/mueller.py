@@ -112,23 +112,21 @@ class MuellerEstimates:
         least, most = self.light.total_interval(hemisphere, level)
         return _with_first(low, least), _with_first(high, most)
 
-    def stokes(self, hemisphere: int, vector: Floats) -> tuple[Floats, Floats]:
-        """Stokes vectors of each patch for incident light, and their standard errors.
+    def stokes(
+        self, hemisphere: int, vector: Floats, total: bool = False
+    ) -> tuple[Floats, Floats]:
+        """Stokes vectors for incident light, and their standard errors.
 
-        Of the shape ``(n_theta, n_phi, channels, 4)``; the errors of the elements,
-        which are not independent, are in the batches.
+        Of each patch, ``(n_theta, n_phi, channels, 4)``, or of the `total`,
+        ``(channels, 4)``; the errors of the elements, which are not independent, are in
+        the batches.
         """
-        sums = self.tally.matrices(hemisphere) @ vector
-        incident = self._incident[..., 0]
-        dark = self.light.dark(hemisphere)[..., None]
-        std_err = np.where(dark, np.nan, statistics.batch_std_err(sums, incident))
-        return statistics.ratio(sums, incident), std_err
-
-    def total_stokes(self, hemisphere: int, vector: Floats) -> tuple[Floats, Floats]:
-        """The same of all patches together, of the shape ``(channels, 4)``."""
-        sums = self._sum(hemisphere) @ vector
-        incident = self._incident[:, 0, 0, :, :, 0]
+        sums, incident = self._stokes(hemisphere, vector, total), self._incident[..., 0]
+        if total:
+            incident = incident[:, 0, 0]
         std_err = statistics.batch_std_err(sums, incident)
+        if not total:
+            std_err[self.light.dark(hemisphere)] = np.nan
         return statistics.ratio(sums, incident), std_err
 
     def normalised_stokes(
@@ -139,8 +137,8 @@ class MuellerEstimates:
         Of the shape ``(n_theta, n_phi, channels, 3)``, or of the `total`
         ``(channels, 3)``; NaN without light.
         """
-        light, polarised = self._light_and_rest(hemisphere, vector, total)
-        light = light[..., None]
+        stokes = self._stokes(hemisphere, vector, total)
+        light, polarised = stokes[..., :1], stokes[..., 1:]
         error = statistics.batch_std_err(polarised, light)
         return statistics.ratio(polarised, light), error
 
@@ -152,7 +150,8 @@ class MuellerEstimates:
         Of each patch, ``(n_theta, n_phi, channels)``, or of the `total`,
         ``(channels,)``; NaN without light, and errors for too few hits.
         """
-        light, polarised = self._light_and_rest(hemisphere, vector, total)
+        stokes = self._stokes(hemisphere, vector, total)
+        light, polarised = stokes[..., 0], stokes[..., 1:]
         sums = polarised.sum(axis=0)
         length = np.linalg.norm(sums, axis=-1, keepdims=True)
         # to first order the degree changes with what is parallel to the sum alone
@@ -188,13 +187,11 @@ class MuellerEstimates:
         found: Flags = self.light.hits[hemisphere][..., None] < enough
         return found
 
-    def _light_and_rest(
-        self, hemisphere: int, vector: Floats, total: bool = False
-    ) -> tuple[Floats, Floats]:
-        """Sums of I, and of Q, U and V for incident light, per batch."""
+    def _stokes(self, hemisphere: int, vector: Floats, total: bool) -> Floats:
+        """Sums of Stokes vectors for incident light, per batch."""
         matrices = self._sum(hemisphere) if total else self.tally.matrices(hemisphere)
-        stokes = matrices @ vector
-        return stokes[..., 0], stokes[..., 1:]
+        found: Floats = matrices @ vector
+        return found
 
     @property
     def _incident(self) -> Floats:

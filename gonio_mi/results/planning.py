@@ -253,8 +253,7 @@ def chebyshev_rays(epsilon: float, delta: float) -> int:
     delta : float
         Probability of exceeding it, in (0, 1).
     """
-    epsilon, delta = _checked(epsilon, delta)
-    return math.ceil(math.log(2 / delta) / (2 * epsilon**2))
+    return union_rays(1, epsilon, delta)
 
 
 def paper_rays(n_patches: int, epsilon: float, delta: float) -> int:
@@ -272,7 +271,9 @@ def union_rays(n_patches: int, epsilon: float, delta: float) -> int:
     ``ceil(ln(2 m / delta) / (2 epsilon^2))``: grows with the logarithm of the number
     of patches, not with the number itself.
     """
-    epsilon, delta = _checked(epsilon, delta)
+    condition = "a number in (0, 1)"
+    epsilon = checked_number("epsilon", epsilon, 1e-12, 1, condition)
+    delta = checked_number("delta", delta, 1e-300, 1, condition)
     n_patches = checked_count("n_patches", n_patches)
     return math.ceil(math.log(2 * n_patches / delta) / (2 * epsilon**2))
 
@@ -416,11 +417,3 @@ def _checked_probabilities(probabilities: ArrayLike) -> Floats:
             f"got {p.size} from {p.min() if p.size else np.nan:g}"
         )
     return p
-
-
-def _checked(epsilon: float, delta: float) -> tuple[float, float]:
-    condition = "a number in (0, 1)"
-    return (
-        checked_number("epsilon", epsilon, 1e-12, 1, condition),
-        checked_number("delta", delta, 1e-300, 1, condition),
-    )

@@ -445,25 +445,16 @@ class Integrals(Tally):
         flux, errors : ndarray, shape (n_hemispheres, n_theta, n_phi, channels)
             Flux fractions, and what they may be wrong by.
         """
+        arrays = {name: getattr(sampled, name) for name in Tally.arrays}
         if not sampled.n_batches:
-            return cls(
-                hits=sampled.hits,
-                sums=flux[None] * sampled.scale,
-                incident=np.full((1, sampled.channels), float(sampled.scale)),
-                fates=np.zeros((1, len(Fate)), np.uint64),
-                scale=sampled.scale,
-                errors=errors * sampled.scale,
-            )
-        per_batch = sampled.incident[:, None, None, None, :]
-        return cls(
-            hits=sampled.hits,
-            sums=sampled.sums + flux * per_batch,
-            incident=sampled.incident,
-            fates=sampled.fates,
-            scale=sampled.scale,
-            direct=sampled.direct,
-            errors=errors * per_batch.max(axis=0),
-        )
+            arrays["sums"] = np.zeros((1, *sampled.sums.shape[1:]))
+            arrays["incident"] = np.full((1, sampled.channels), float(sampled.scale))
+            arrays["fates"] = np.zeros((1, len(Fate)), np.uint64)
+            arrays["direct"] = np.zeros((1, sampled.channels))
+        per_batch = arrays["incident"][:, None, None, None, :]
+        arrays["sums"] = arrays["sums"] + flux * per_batch
+        errors = errors * per_batch.max(axis=0)
+        return cls(**arrays, scale=sampled.scale, errors=errors)
 
 
 def holds_integrals(tallies: Sequence[Tally]) -> bool:

@@ -193,10 +193,9 @@ class MeasuredValues:
             If `incident` is no light, for another `of`, or without Mueller matrices or
             lower hemisphere.
         """
-        if of in TOTALS:
-            return self._of_stokes("total_stokes", incident, of)
-        solid = self._projected[..., None]
-        return self._of_stokes("stokes", incident, of, solid=solid)
+        total = of in TOTALS
+        solid = 1.0 if total else self._projected[..., None]
+        return self._of_stokes("stokes", incident, of, total, solid=solid)
 
     def normalised_stokes(
         self, incident: ArrayLike, of: str = "brdf"

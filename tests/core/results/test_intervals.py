@@ -14,7 +14,7 @@ from scipy import stats
 import gonio_mi as gonio
 
 LEVEL = 0.95
-SEEDS = 60
+SEEDS = 32
 RHO = 0.5
 
 # of the 100 equal patches of a grey Lambertian, each receives RHO / 100 of the rays
