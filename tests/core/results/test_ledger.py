@@ -11,25 +11,29 @@ import gonio_mi as gonio
 RAYS = 100_000
 
 
-def scripted(weight, z=1.0, pdf=1.0):
-    """BSDF whose `sample` returns the weight ``weight(u)``, for uniform u."""
+def scripted(weight, other=None, z=1.0, pdf=1.0):
+    """BSDF whose `sample` returns a weight, in one half of the cases the `other` one.
+
+    Its kernels are the same whatever the numbers are.
+    """
+    numbers = weight, weight if other is None else other, z, pdf
+    weight, other, z, pdf = (dr.opaque(mi.Float, number) for number in numbers)
 
     class Scripted(mi.BSDF):
         def __init__(self, props):
             super().__init__(props)
-            self.m_components = [
-                mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide
-            ]
-            self.m_flags = self.m_components[0]
+            self.m_flags = mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide
+            self.m_components = [self.m_flags]
 
         def sample(self, _ctx, _si, sample1, sample2, active):
             bs = dr.zeros(mi.BSDFSample3f)
             cosine = mi.warp.square_to_cosine_hemisphere(sample2)
             bs.wo = z * cosine
-            bs.pdf = mi.Float(pdf)
+            bs.pdf = pdf
             bs.eta = 1.0
             bs.sampled_type = mi.UInt32(int(self.m_flags))
-            return bs, mi.Spectrum(weight(sample1)) & active
+            chosen = dr.select(sample1 < 0.5, weight, other)
+            return bs, mi.Spectrum(chosen) & active
 
         def eval(self, *_):
             return mi.Spectrum(0.0)
@@ -44,17 +48,12 @@ def scripted(weight, z=1.0, pdf=1.0):
     return {"type": "scripted"}
 
 
-def one_half(value):
-    """Weight of 1 or, in one half of the cases, `value`."""
-    return lambda u: dr.select(u < 0.5, mi.Float(1.0), mi.Float(value))
-
-
 @pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("trace", [False, True])
 @pytest.mark.parametrize("estimator", ["analog", "weighted"])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, -0.5, 1e6])
 def test_invalid_weights_have_their_row(value, estimator, trace):
-    specimen = scripted(one_half(value))
+    specimen = scripted(1.0, value)
     with pytest.warns(RuntimeWarning, match="invalid"):
         record = gonio.measure(
             specimen,
@@ -92,7 +91,7 @@ def test_invalid_weights_have_their_row(value, estimator, trace):
 )
 @pytest.mark.filterwarnings("ignore:the BSDF:RuntimeWarning")
 def test_rows(weight, z, pdf, row):
-    specimen = scripted(lambda _: mi.Float(weight), z, pdf)
+    specimen = scripted(weight, z=z, pdf=pdf)
     record = gonio.measure(specimen, 30, rays=RAYS, sampler="independent")
     # exact: every ray has this fate
     assert record.ledger.rows[row] == RAYS
@@ -106,7 +105,7 @@ def test_rows(weight, z, pdf, row):
 @pytest.mark.filterwarnings("ignore:the BSDF creates light")
 def test_weights_above_one_are_summed_exactly():
     """Exact: analog rays of weight 2.5 count twice or three times."""
-    specimen = scripted(lambda _: mi.Float(2.5))
+    specimen = scripted(2.5)
     record = gonio.measure(specimen, 0, rays=RAYS)
     assert record.dhr[0] == 2.5
     analog = gonio.measure(
