@@ -23,7 +23,6 @@ from gonio_mi.materials.interpolation.lobes import MeasuredLobes
 from gonio_mi.plugins import bsdf_functions
 from gonio_mi.results.patch_means import PatchMeans
 from gonio_mi.results.record import XYZ, Record, wavelengths_nm
-from gonio_mi.settings.declaration import example
 
 # Signs of z on the front and the back.
 SIDES = (1, -1)
@@ -38,7 +37,6 @@ _told: set[str] = set()
 EVEN = 0.1
 
 
-@example("bsdf", "goniometric", filename="measured.npz")
 class Goniometric(mi.BSDF):
     r"""Material that was measured with the instrument (:monosp:`goniometric`).
 
@@ -97,6 +95,18 @@ class Goniometric(mi.BSDF):
     rgb, and by its luminance monochrome ones; one of several wavelengths spectral
     variants: it is linear in between and constant beyond them, where `measure` refuses
     it.
+
+    .. tabs::
+        .. code-tab:: xml
+
+            <bsdf type="goniometric">
+                <string name="filename" value="measured.npz"/>
+            </bsdf>
+
+        .. code-tab:: python
+
+            'type': 'goniometric',
+            'filename': 'measured.npz'
     """
 
     eval, pdf = bsdf_functions.evaluate, bsdf_functions.density

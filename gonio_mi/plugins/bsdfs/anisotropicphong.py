@@ -9,10 +9,8 @@ import mitsuba as mi
 
 from gonio_mi.plugins import bsdf_functions, exponentiated_cosine as lobe, phong_facets
 from gonio_mi.plugins.bsdf_functions import Asked, reflectance
-from gonio_mi.settings.declaration import example
 
 
-@example("bsdf", "anisotropicphong", exponent_u=50.0, exponent_v=1000.0, f0=1.0)
 class AnisotropicPhong(mi.BSDF):
     r"""Microfacets with anisotropic Phong normals (:monosp:`anisotropicphong`).
 
@@ -102,6 +100,22 @@ class AnisotropicPhong(mi.BSDF):
     sampling are also in M. Ashikhmin and P. Shirley, *An anisotropic Phong BRDF model*,
     Journal of Graphics Tools 5 (2), 2000, `doi:10.1080/10867651.2000.10487522
     <https://doi.org/10.1080/10867651.2000.10487522>`_.
+
+    .. tabs::
+        .. code-tab:: xml
+
+            <bsdf type="anisotropicphong">
+                <float name="exponent_u" value="50.0"/>
+                <float name="exponent_v" value="1000.0"/>
+                <float name="f0" value="1.0"/>
+            </bsdf>
+
+        .. code-tab:: python
+
+            'type': 'anisotropicphong',
+            'exponent_u': 50.0,
+            'exponent_v': 1000.0,
+            'f0': 1.0
     """
 
     sample, eval_pdf = bsdf_functions.sample, bsdf_functions.eval_pdf

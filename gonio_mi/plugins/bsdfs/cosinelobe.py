@@ -7,10 +7,8 @@ import mitsuba as mi
 
 from gonio_mi.plugins import bsdf_functions, exponentiated_cosine as lobe
 from gonio_mi.plugins.bsdf_functions import Asked, reflectance
-from gonio_mi.settings.declaration import example
 
 
-@example("bsdf", "cosinelobe", exponent=16.0, normalisation="unit")
 class CosineLobe(mi.BSDF):
     r"""Exponentiated-cosine lobe (:monosp:`cosinelobe`).
 
@@ -90,6 +88,20 @@ class CosineLobe(mi.BSDF):
 
     Source: E. P. Lafortune and Y. D. Willems, *Using the modified Phong reflectance
     model for physically based rendering*, report CW 197, K.U. Leuven, 1994.
+
+    .. tabs::
+        .. code-tab:: xml
+
+            <bsdf type="cosinelobe">
+                <float name="exponent" value="16.0"/>
+                <string name="normalisation" value="unit"/>
+            </bsdf>
+
+        .. code-tab:: python
+
+            'type': 'cosinelobe',
+            'exponent': 16.0,
+            'normalisation': 'unit'
     """
 
     sample, eval_pdf = bsdf_functions.sample, bsdf_functions.eval_pdf

@@ -10,18 +10,10 @@ import mitsuba as mi
 from gonio_mi.errors import SettingError
 from gonio_mi.plugins import bsdf_functions, exponentiated_cosine as lobe
 from gonio_mi.plugins.bsdf_functions import Asked, mean, reflectance
-from gonio_mi.settings.declaration import example
 
 DIFFUSE = mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide
 
 
-@example(
-    "bsdf",
-    "glossymixture",
-    diffuse_reflectance=0.8,
-    specular_reflectance=0.2,
-    exponent=16.0,
-)
 class GlossyMixture(mi.BSDF):
     r"""Mixture of a diffuse and an exponentiated-cosine lobe (:monosp:`glossymixture`).
 
@@ -70,6 +62,22 @@ class GlossyMixture(mi.BSDF):
 
     Source: E. P. Lafortune and Y. D. Willems, *Using the modified Phong reflectance
     model for physically based rendering*, report CW 197, K.U. Leuven, 1994.
+
+    .. tabs::
+        .. code-tab:: xml
+
+            <bsdf type="glossymixture">
+                <float name="diffuse_reflectance" value="0.8"/>
+                <float name="specular_reflectance" value="0.2"/>
+                <float name="exponent" value="16.0"/>
+            </bsdf>
+
+        .. code-tab:: python
+
+            'type': 'glossymixture',
+            'diffuse_reflectance': 0.8,
+            'specular_reflectance': 0.2,
+            'exponent': 16.0
     """
 
     sample, eval_pdf = bsdf_functions.sample, bsdf_functions.eval_pdf

@@ -9,10 +9,8 @@ import mitsuba as mi
 import numpy as np
 
 from gonio_mi.settings import FILM, MeasurementSettings, plugin_table
-from gonio_mi.settings.declaration import example
 
 
-@example("film", "patches", subdivision="projected:30x30")
 class Patches(mi.Film):
     r"""Patches of a collector hemisphere (:monosp:`patches`).
 
@@ -24,6 +22,18 @@ class Patches(mi.Film):
     With both hemispheres it has ``2 n_theta`` rows, in the order of growing theta: the
     BRDF from pole to horizon, then the BTDF from horizon to nadir. ``write`` makes the
     EXR file (or NPZ, by its ending), ``record`` holds the record.
+
+    .. tabs::
+        .. code-tab:: xml
+
+            <film type="patches">
+                <string name="subdivision" value="projected:30x30"/>
+            </film>
+
+        .. code-tab:: python
+
+            'type': 'patches',
+            'subdivision': 'projected:30x30'
     """
 
     def __init__(self, props: mi.Properties) -> None:

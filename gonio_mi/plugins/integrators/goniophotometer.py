@@ -12,12 +12,10 @@ from gonio_mi.instrument.recording import records_of
 from gonio_mi.instrument.setup import own_settings, set_up
 from gonio_mi.results.tally import Tally
 from gonio_mi.settings import INTEGRATOR, MeasurementSettings, plugin_table
-from gonio_mi.settings.declaration import example
 from gonio_mi.transport.kernels import launches_kernels
 from gonio_mi.transport.variants import check_variant, is_parallel
 
 
-@example("integrator", "goniophotometer", rays=1000000)
 class Goniophotometer(mi.SamplingIntegrator):
     r"""Virtual goniophotometer (:monosp:`goniophotometer`).
 
@@ -29,6 +27,18 @@ class Goniophotometer(mi.SamplingIntegrator):
     .. pluginparameters::
 
      {parameters}
+
+    .. tabs::
+        .. code-tab:: xml
+
+            <integrator type="goniophotometer">
+                <integer name="rays" value="1000000"/>
+            </integrator>
+
+        .. code-tab:: python
+
+            'type': 'goniophotometer',
+            'rays': 1000000
     """
 
     def __init__(self, props: mi.Properties) -> None:

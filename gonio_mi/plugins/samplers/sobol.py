@@ -11,7 +11,6 @@ import mitsuba as mi
 import numpy as np
 
 from gonio_mi.errors import VariantError
-from gonio_mi.settings.declaration import example
 from gonio_mi.transport.morton import (
     PACKET,
     block_bits,
@@ -351,7 +350,6 @@ def fraction(bits: mi.UInt32) -> mi.Float:
     return mi.Float(bits >> 8) * 2.0**-24
 
 
-@example("sampler", "sobol")
 class Sobol(mi.Sampler):
     r"""Owen-scrambled Sobol' points (:monosp:`sobol`).
 
@@ -374,6 +372,15 @@ class Sobol(mi.Sampler):
      * - seed
        - |int|
        - Added to the seed of each rendering or batch. (Default: 0)
+
+    .. tabs::
+        .. code-tab:: xml
+
+            <sampler type="sobol"/>
+
+        .. code-tab:: python
+
+            'type': 'sobol'
     """
 
     is_joint = True

@@ -6,11 +6,9 @@ import mitsuba as mi
 
 from gonio_mi.errors import SettingError
 from gonio_mi.settings import COLLECTOR, MeasurementSettings, plugin_table
-from gonio_mi.settings.declaration import example
 from gonio_mi.transport.sampling import check_sampler
 
 
-@example("sensor", "collector", film={"type": "patches"})
 class Collector(mi.Sensor):
     r"""Collector sphere of a goniophotometer (:monosp:`collector`).
 
@@ -25,6 +23,18 @@ class Collector(mi.Sensor):
      * - (Nested plugin)
        - :paramtype:`sampler`
        - Any sampler but ``ldsampler``. (Default: ``sobol``)
+
+    .. tabs::
+        .. code-tab:: xml
+
+            <sensor type="collector">
+                <film type="patches"/>
+            </sensor>
+
+        .. code-tab:: python
+
+            'type': 'collector',
+            'film': {'type': 'patches'}
     """
 
     def __init__(self, props: mi.Properties) -> None:

@@ -20,7 +20,6 @@ from gonio_mi.errors import (
 )
 from gonio_mi.mitsuba_compat import mesh_of
 from gonio_mi.plugins.properties import given
-from gonio_mi.settings.declaration import example
 from gonio_mi.surfaces.height_maps import HeightMap, read_height_map
 from gonio_mi.surfaces.heights import (
     CORRELATIONS,
@@ -43,12 +42,6 @@ GENERATED = (
 ROWS = 64
 
 
-@example(
-    "shape",
-    "heightfield",
-    alpha=0.3,
-    bsdf={"type": "twosided", "bsdf": {"type": "conductor"}},
-)
 def heightfield(props: mi.Properties) -> mi.Mesh:
     r"""Height field (:monosp:`heightfield`).
 
@@ -161,6 +154,20 @@ def heightfield(props: mi.Properties) -> mi.Mesh:
        - What the facets are made of. (Default: ``diffuse``, as of every shape of
          Mitsuba's; a file that is itself the specimen, as in ``gonio-mi measure
          scan.x3p``, is measured as a mirror)
+
+    .. tabs::
+        .. code-tab:: xml
+
+            <shape type="heightfield">
+                <float name="alpha" value="0.3"/>
+                <bsdf type="twosided"><bsdf type="conductor"/></bsdf>
+            </shape>
+
+        .. code-tab:: python
+
+            'type': 'heightfield',
+            'alpha': 0.3,
+            'bsdf': {'type': 'twosided', 'bsdf': {'type': 'conductor'}}
     """
     name, ready = _topography(props)
     for concern in ready.concerns():

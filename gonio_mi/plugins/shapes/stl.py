@@ -8,16 +8,9 @@ import mitsuba as mi
 import numpy as np
 
 from gonio_mi.mitsuba_compat import mesh_of
-from gonio_mi.settings.declaration import example
 from gonio_mi.surfaces.meshes import read_stl
 
 
-@example(
-    "shape",
-    "stl",
-    filename="slat.stl",
-    bsdf={"type": "twosided", "bsdf": {"type": "diffuse"}},
-)
 def stl(props: mi.Properties) -> mi.Mesh:
     r"""Triangles of an STL file (:monosp:`stl`).
 
@@ -29,6 +22,20 @@ def stl(props: mi.Properties) -> mi.Mesh:
      * - filename
        - |string|
        - The file.
+
+    .. tabs::
+        .. code-tab:: xml
+
+            <shape type="stl">
+                <string name="filename" value="slat.stl"/>
+                <bsdf type="twosided"><bsdf type="diffuse"/></bsdf>
+            </shape>
+
+        .. code-tab:: python
+
+            'type': 'stl',
+            'filename': 'slat.stl',
+            'bsdf': {'type': 'twosided', 'bsdf': {'type': 'diffuse'}}
     """
     path = Path(str(mi.file_resolver().resolve(props["filename"])))
     triangles = read_stl(path)

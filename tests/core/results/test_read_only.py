@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import synthetic
 
-from gonio_mi.results.provenance import ReadOnlyDict, ReadOnlyList, read_only
+from gonio_mi.results.provenance import read_only
 from gonio_mi.results.tally import Integrals, Tally
 
 SETTINGS = {"seed": [1, 2], "versions": {"numpy": "2"}, "task": {"a": [3]}}
@@ -48,56 +48,18 @@ def refused(holder, change):
         change(holder)
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda d: d.__setitem__("a", 1),
-        lambda d: d.__delitem__("seed"),
-        lambda d: d.__ior__({"a": 1}),
-        lambda d: d.update(a=1),
-        lambda d: d.setdefault("a", 1),
-        lambda d: d.pop("seed"),
-        lambda d: d.popitem(),
-        lambda d: d.clear(),
-    ],
-)
-def test_settings_cannot_be_changed(change):
+def test_settings_cannot_be_changed():
+    """Nor lists in them: whatever changes a dictionary or a list is refused."""
     record = settled()
-    refused(record.settings, change)
-    assert record == settled()
-    change(dict(SETTINGS))  # twin: what was tried changes a dictionary
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda one: one.__setitem__(0, 3),
-        lambda one: one.__delitem__(0),
-        lambda one: one.__iadd__([3]),
-        lambda one: one.__imul__(2),
-        lambda one: one.append(3),
-        lambda one: one.extend([3]),
-        lambda one: one.insert(0, 3),
-        lambda one: one.remove(1),
-        lambda one: one.pop(),
-        lambda one: one.clear(),
-        lambda one: one.sort(),
-        lambda one: one.reverse(),
-    ],
-)
-def test_lists_in_settings_cannot_be_changed(change):
-    record = settled()
-    refused(record.settings["seed"], change)
-    assert record.settings["seed"] == [1, 2]
-    change([1, 2])  # twin
-
-
-def test_nothing_that_changes_was_forgotten():
-    """Whatever a dictionary or a list has, and their read-only likes may not do."""
-    for kind, base in ((ReadOnlyDict, dict), (ReadOnlyList, list)):
-        reading = vars(base).keys() - vars(kind).keys()
+    for holder, base in ((record.settings, dict), (record.settings["seed"], list)):
+        own = vars(type(holder))
+        changing = {name for name, x in own.items() if x is own["__setitem__"]}
+        for name in changing:
+            refused(holder, lambda one, name=name: getattr(one, name)())
+        # the others change nothing, of a dictionary or a list either
         one = base(SETTINGS) if base is dict else [2, 1]
-        for name in reading - {"__init__", "__class_getitem__", "__new__"}:
+        others = vars(base).keys() - changing
+        for name in others - {"__init__", "__class_getitem__", "__new__"}:
             before = copy.deepcopy(one)
             for arguments in ((), (0,), ("x",), ("b", 1), (0, 0), ({"b": 1},), ([3],)):
                 try:
@@ -105,6 +67,7 @@ def test_nothing_that_changes_was_forgotten():
                 except (TypeError, ValueError, IndexError, KeyError, AttributeError):
                     continue
             assert one == before, name
+    assert record == settled()
 
 
 def test_settings_are_a_copy_of_what_was_given():
