@@ -1,8 +1,15 @@
 """The command line: ``gonio-mi COMMAND ...``, and how it fails.
 
-Exit codes: 0 done, 1 an error, 2 the asked precision was not reached or the
-measurement was interrupted, 3 a validation or comparison failed, 4 a validation could
-not decide, 130 interrupted before it had begun, 143 a campaign was ended by SIGTERM.
+examples:
+  gonio-mi measure diffuse --theta-i 45
+  gonio-mi measure scene.xml -D alpha=0.3 --rays 1e8 -o run.npz
+  gonio-mi show run.npz
+  gonio-mi plot run.npz -o run.png
+
+exit codes: 0 done, 1 an error (in one line: yours, or a bug to report), 2
+interrupted, or the requested precision was not reached, 3 a validation or comparison
+failed, 4 a validation could not decide, 130 interrupted during start-up, 143 a campaign
+was ended by SIGTERM
 """
 
 import argparse
@@ -46,19 +53,6 @@ MODULES = {
 COMMANDS = {
     name: text for _, summaries in _PACKAGES for name, text in summaries.items()
 }
-
-EXAMPLES = """\
-examples:
-  gonio-mi measure diffuse --theta-i 45
-  gonio-mi measure scene.xml -D alpha=0.3 --rays 1e8 -o run.npz
-  gonio-mi show run.npz
-  gonio-mi plot run.npz -o run.png
-
-exit codes: 0 done, 1 an error (in one line: yours, or a bug to report), 2
-interrupted, or the requested precision was not reached, 3 a validation or comparison
-failed, 4 a validation could not decide, 130 interrupted during start-up, 143 a campaign
-was ended by SIGTERM
-"""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -132,7 +126,7 @@ def parser(command: str | None = None) -> Parser:
     whole = Parser(
         prog=PROGRAM,
         description="A virtual goniophotometer for Mitsuba 3.",
-        epilog=EXAMPLES,
+        epilog=inspect.cleandoc(__doc__ or "").partition("\n\n")[2],
     )
     text = "Show the version."
     whole.add_argument("--version", action=_Version, nargs=0, help=text)
@@ -149,17 +143,18 @@ def parser(command: str | None = None) -> Parser:
 def _add_command(commands: Any, name: str) -> None:
     """Add the parser of one command.
 
-    The docstring of its module is the help, after a first line. ``USAGE``,
-    ``EXAMPLES`` and ``RARE`` are the module's own, if it has them.
+    The docstring of its module is the help, after a first line. ``USAGE`` and ``RARE``
+    are the module's own, if it has them.
     """
     module = importlib.import_module(MODULES[name])
-    _, _, description = inspect.cleandoc(module.__doc__ or "").partition("\n")
+    _, _, text = inspect.cleandoc(module.__doc__ or "").partition("\n")
+    description, examples, more = text.partition("examples:\n")
     own = commands.add_parser(
         name,
         help=COMMANDS[name],
         usage=getattr(module, "USAGE", None),
         description=description.strip(),
-        epilog=getattr(module, "EXAMPLES", None),
+        epilog=examples + more,
         rare=getattr(module, "RARE", ()),
     )
     own.set_defaults(run=module.run)

@@ -1,6 +1,23 @@
-"""``gonio-mi measure``: measure how a specimen scatters light.
+r"""``gonio-mi measure``: measure how a specimen scatters light.
 
 Measure how a specimen scatters light, and show the numbers.
+
+examples:
+  gonio-mi measure diffuse --theta-i 45
+  gonio-mi measure roughconductor:alpha=0.2,distribution=ggx --theta-i 0 30 60 \
+      --rays 1e8 -o run.npz map.exr
+  gonio-mi measure roughdielectric:alpha=0.1 --theta-i 45 --rel-err 0.01
+  gonio-mi measure plastic:diffuse_reflectance=0.2/0.5/0.1 --theta-i 45 \
+      --variant llvm_ad_rgb
+  gonio-mi measure mybsdf:roughness=0.3 --plugin mybsdf.py --theta-i 45
+  gonio-mi measure roughconductor:alpha=0.3 --tolerance 0.02 -o material.npz
+  gonio-mi measure scan.x3p --form plane --fill nearest --theta-i 30 -o scan.npz
+  gonio-mi measure grooves.xml --theta-i 30 --order 1,2,3+ -o grooves.npz
+  gonio-mi measure scene.xml -D height=0.5 --theta-i 45 -o run.npz \
+      --resume run.npz
+
+Several orders give a file each: grooves_order_1.npz, grooves_order_2.npz, ... A scene
+file that is a complete measurement sets the defaults of all options.
 """
 
 from __future__ import annotations
@@ -73,25 +90,6 @@ MAKERS = {
     "report": (".html",),
     "export": ask("exchange", "ENDINGS", ()),
 }
-
-EXAMPLES = """\
-examples:
-  gonio-mi measure diffuse --theta-i 45
-  gonio-mi measure roughconductor:alpha=0.2,distribution=ggx --theta-i 0 30 60 \\
-      --rays 1e8 -o run.npz map.exr
-  gonio-mi measure roughdielectric:alpha=0.1 --theta-i 45 --rel-err 0.01
-  gonio-mi measure plastic:diffuse_reflectance=0.2/0.5/0.1 --theta-i 45 \\
-      --variant llvm_ad_rgb
-  gonio-mi measure mybsdf:roughness=0.3 --plugin mybsdf.py --theta-i 45
-  gonio-mi measure roughconductor:alpha=0.3 --tolerance 0.02 -o material.npz
-  gonio-mi measure scan.x3p --form plane --fill nearest --theta-i 30 -o scan.npz
-  gonio-mi measure grooves.xml --theta-i 30 --order 1,2,3+ -o grooves.npz
-  gonio-mi measure scene.xml -D height=0.5 --theta-i 45 -o run.npz \\
-      --resume run.npz
-
-Several orders give a file each: grooves_order_1.npz, grooves_order_2.npz, ... A scene
-file that is a complete measurement sets the defaults of all options.
-"""
 
 
 def add_options(parser: ArgumentParser) -> None:

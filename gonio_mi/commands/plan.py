@@ -3,15 +3,7 @@
 Estimate how many rays a measurement needs: by the bounds of Krishnaswamy and others
 (2004) on the absolute error of the flux, and for a relative error of all patches at
 once.
-"""
 
-from argparse import ArgumentParser, Namespace
-from dataclasses import asdict
-
-from .arguments import DONE, add_json, add_number, add_text, tell, tell_json
-from .file_kinds import record_of
-
-EXAMPLES = """\
 examples:
   gonio-mi plan
   gonio-mi plan --collector projected:100x100 --rel-err 0.005
@@ -21,6 +13,12 @@ examples:
 Without a pilot a white Lambertian specimen is assumed, which lights every patch. The
 numbers are for independent rays; the sampler sobol needs fewer.
 """
+
+from argparse import ArgumentParser, Namespace
+from dataclasses import asdict
+
+from .arguments import DONE, add_json, add_number, add_text, tell, tell_json
+from .file_kinds import record_of
 
 
 def add_options(parser: ArgumentParser) -> None:

@@ -3,6 +3,11 @@
 Draw a record: polar map, and profile in the plane of incidence with error bars. A stack
 is drawn as a sheet of the maps of its incident directions, on one colour scale, or as
 an animation; --index chooses one of them.
+
+examples:
+  gonio-mi plot run.npz -o run.png
+  gonio-mi plot stack.npz -o lobe.gif
+  gonio-mi plot polarised.npz --stokes 1 1 0 0 -o along_s.png
 """
 
 from argparse import ArgumentParser, Namespace
@@ -11,13 +16,6 @@ from pathlib import Path
 from ..errors import SettingError
 from .arguments import DONE, add_number, add_stokes, add_text
 from .file_kinds import record_of
-
-EXAMPLES = """\
-examples:
-  gonio-mi plot run.npz -o run.png
-  gonio-mi plot stack.npz -o lobe.gif
-  gonio-mi plot polarised.npz --stokes 1 1 0 0 -o along_s.png
-"""
 
 
 def add_options(parser: ArgumentParser) -> None:

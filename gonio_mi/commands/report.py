@@ -4,18 +4,16 @@ Write one HTML page that opens from disk, without a network: maps with the value
 the pointer, sliders over incident directions, cuts, lobes, totals and ledger; two
 records beside each other, with their difference in standard errors. Needs plotly: pip
 install ".[report]" in a checkout.
+
+examples:
+  gonio-mi report run.npz -o run.html
+  gonio-mi report before.npz after.npz -o both.html
 """
 
 from argparse import ArgumentParser, Namespace
 
 from .arguments import DONE, add_text
 from .file_kinds import record_of
-
-EXAMPLES = """\
-examples:
-  gonio-mi report run.npz -o run.html
-  gonio-mi report before.npz after.npz -o both.html
-"""
 
 
 def add_options(parser: ArgumentParser) -> None:

@@ -3,6 +3,11 @@
 Show the numbers of a record: reflectance and transmittance with their intervals, where
 every ray went, and the worst patches. Of a table of measured values, in text with
 columns or a file of another program, show what it holds and what was inferred.
+
+examples:
+  gonio-mi show run.npz --json | jq .directions[0].dhr
+  gonio-mi show panel.txt --channel 550nm
+  gonio-mi show polarised.npz --stokes 1 1 0 0
 """
 
 import sys
@@ -22,13 +27,6 @@ from .arguments import (
     tell_json,
 )
 from .file_kinds import record_of
-
-EXAMPLES = """\
-examples:
-  gonio-mi show run.npz --json | jq .directions[0].dhr
-  gonio-mi show panel.txt --channel 550nm
-  gonio-mi show polarised.npz --stokes 1 1 0 0
-"""
 
 
 def add_options(parser: ArgumentParser) -> None:

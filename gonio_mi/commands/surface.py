@@ -3,6 +3,11 @@
 Of a height map: its units, heights, slopes and autocorrelation, and what would make a
 measurement doubtful. Of that and any other micro-geometry: the distribution of
 micro-normals, masking and shadowing with error bars, beside Beckmann's and GGX's.
+
+examples:
+  gonio-mi surface scan.x3p --form plane --fill nearest -o scan.png
+  gonio-mi surface heights.png --size 100 --range 2.5 --unit um
+  gonio-mi surface scenes/crossed_threads.xml
 """
 
 from __future__ import annotations
@@ -37,13 +42,6 @@ from .arguments import (
 )
 
 USAGE = "%(prog)s SPECIMEN [options]"
-
-EXAMPLES = """\
-examples:
-  gonio-mi surface scan.x3p --form plane --fill nearest -o scan.png
-  gonio-mi surface heights.png --size 100 --range 2.5 --unit um
-  gonio-mi surface scenes/crossed_threads.xml
-"""
 
 # Options that are properties of the plugin `heightfield`.
 HEIGHT_MAP = ("size", "size_y", "scale", "range", "unit", "form", "fill")

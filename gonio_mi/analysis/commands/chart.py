@@ -2,6 +2,15 @@
 
 Measure a specimen by every method with more and more rays, and chart the error over
 rays and over CPU seconds.
+
+examples:
+  gonio-mi chart diffuse --theta-i 45
+  gonio-mi chart roughplastic:alpha=0.2 --theta-i 45 -o chart.png chart.csv
+  gonio-mi chart scenes/micro_geometry.xml --seconds 300 -o chart.png
+  gonio-mi chart principled --theta-i 30 --sampler independent stratified sobol
+
+The error is the root mean square over the patches, relative to the mean BSDF; the time
+is that of the process, all threads together, without compilation. SPECIMEN comes first.
 """
 
 import sys
@@ -24,17 +33,6 @@ from ...commands.arguments import (
 )
 
 USAGE = "%(prog)s SPECIMEN [--theta-i DEG] [options]"
-
-EXAMPLES = """\
-examples:
-  gonio-mi chart diffuse --theta-i 45
-  gonio-mi chart roughplastic:alpha=0.2 --theta-i 45 -o chart.png chart.csv
-  gonio-mi chart scenes/micro_geometry.xml --seconds 300 -o chart.png
-  gonio-mi chart principled --theta-i 30 --sampler independent stratified sobol
-
-The error is the root mean square over the patches, relative to the mean BSDF; the time
-is that of the process, all threads together, without compilation. SPECIMEN comes first.
-"""
 
 
 def add_options(parser: ArgumentParser) -> None:

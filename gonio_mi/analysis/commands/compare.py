@@ -1,10 +1,24 @@
-"""``gonio-mi compare``: compare with another record or with measured values.
+r"""``gonio-mi compare``: compare with another record or with measured values.
 
 Compare a record with another record of the same collector, patch by patch, or with a
 table of measured values: text with columns, or a file of Zemax, Speos, FRED,
 OpenMATERIAL or MERL. A specimen in place of the record is measured at the solid angles
 of the table and under its emitter; a specimen in place of the other is measured as the
 record was.
+
+examples:
+  gonio-mi compare run.npz another.npz
+  gonio-mi compare run.npz measured.csv --uncertainty 0.005 -o compared.png
+  gonio-mi compare roughconductor:alpha=0.2 measured.csv --budget budget.csv
+  gonio-mi compare diffuse panel.txt --channel 550nm \
+      --quantity reflectance_factor --columns theta_i=src_z theta_o=view_z \
+      --azimuth mirror --aperture-half-angle 1
+  gonio-mi compare run.npz roughconductor:alpha=0.21
+
+The table's header holds lines such as `# quantity: brdf`, `# uncertainty: 0.005`,
+`# aperture_half_angle: 0.75` and `# emitter_half_angle: 0.25`; angles are in degrees.
+For a table of a wavelength the default variant is llvm_ad_spectral. Exit code 3: they
+differ by more than chance explains; 2: patches cannot decide it.
 """
 
 import re
@@ -40,22 +54,6 @@ from ...errors import OpenQuestionsError, SettingError, check_nothing_open
 from ...surfaces.meshes import MESHES
 
 USAGE = "%(prog)s RECORD OTHER [options]"
-
-EXAMPLES = """\
-examples:
-  gonio-mi compare run.npz another.npz
-  gonio-mi compare run.npz measured.csv --uncertainty 0.005 -o compared.png
-  gonio-mi compare roughconductor:alpha=0.2 measured.csv --budget budget.csv
-  gonio-mi compare diffuse panel.txt --channel 550nm \\
-      --quantity reflectance_factor --columns theta_i=src_z theta_o=view_z \\
-      --azimuth mirror --aperture-half-angle 1
-  gonio-mi compare run.npz roughconductor:alpha=0.21
-
-The table's header holds lines such as `# quantity: brdf`, `# uncertainty: 0.005`,
-`# aperture_half_angle: 0.75` and `# emitter_half_angle: 0.25`; angles are in degrees.
-For a table of a wavelength the default variant is llvm_ad_spectral. Exit code 3: they
-differ by more than chance explains; 2: patches cannot decide it.
-"""
 
 # Settings with which a specimen is measured.
 MEASURED = ("rays", "rel_err", "divergence")

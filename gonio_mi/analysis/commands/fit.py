@@ -4,6 +4,14 @@ Find the parameters with which a BSDF is closest to a record or to a table of me
 values, their uncertainties from the noise of the one or what the other states, and what
 the model cannot follow. A rough model without its distribution is tried with both,
 Beckmann and GGX, the closer one first.
+
+examples:
+  gonio-mi fit run.npz roughconductor
+  gonio-mi fit run.npz roughconductor:distribution=ggx principled -o fits.png
+  gonio-mi fit run.npz roughconductor:material=Al --free alpha_u alpha_v
+  gonio-mi fit table.csv roughplastic --quantity brdf -o fit.png fit.csv
+  gonio-mi fit table.csv diffuse --uncertainty 0.01 --aperture-half-angle 1
+  gonio-mi fit run.npz mybsdf:tint=0.5 --free weight=0:1 --plugin mybsdf.py
 """
 
 from argparse import ArgumentParser, Namespace
@@ -34,16 +42,6 @@ from ...files.measured_table import MeasuredTable
 from ...results.record import Record
 
 USAGE = "%(prog)s RECORD|TABLE MODEL ... [options]"
-
-EXAMPLES = """\
-examples:
-  gonio-mi fit run.npz roughconductor
-  gonio-mi fit run.npz roughconductor:distribution=ggx principled -o fits.png
-  gonio-mi fit run.npz roughconductor:material=Al --free alpha_u alpha_v
-  gonio-mi fit table.csv roughplastic --quantity brdf -o fit.png fit.csv
-  gonio-mi fit table.csv diffuse --uncertainty 0.01 --aperture-half-angle 1
-  gonio-mi fit run.npz mybsdf:tint=0.5 --free weight=0:1 --plugin mybsdf.py
-"""
 
 # What may be stated of a table beside how it is read.
 STATED = ("uncertainty", "scale_uncertainty", "aperture_half_angle")

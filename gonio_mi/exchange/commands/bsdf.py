@@ -1,9 +1,21 @@
-"""``gonio-mi bsdf``: write the BSDF file of a window layer, blind or film.
+r"""``gonio-mi bsdf``: write the BSDF file of a window layer, blind or film.
 
 Measure everything that a Radiance BSDF file contains, and write it: reflection and
 transmission of both sides, each incident patch averaged over the patch, in the file's
 own patches; of several wavelengths, visible and solar light. The specimen's face to
 +z, the front, looks into the room, and its +y is up.
+
+examples:
+  gonio-mi bsdf blind.xml --period box --rel-err 0.01 -o blind_klems.xml
+  gonio-mi bsdf slat.obj --unit mm --normal y --period 25,25 \
+      --bsdf diffuse:reflectance=0.7 --solar-bsdf diffuse:reflectance=0.6 \
+      -o blind.xml
+  gonio-mi bsdf roughdielectric:alpha=0.1 --basis tensor3 -o film.xml
+  gonio-mi bsdf diffuse:reflectance=0.7 --solar diffuse:reflectance=0.6 \
+      -o both.xml
+  gonio-mi bsdf film.xml --variant llvm_ad_spectral --wavelengths 300 320 340 \
+      360 380 400 450 500 550 600 650 700 800 1000 1300 1600 2000 2500 \
+      -o film_klems.xml
 """
 
 from __future__ import annotations
@@ -56,20 +68,6 @@ WAVELENGTHS = f"{VISIBLE_NM[0]} to {VISIBLE_NM[-1]} by {VISIBLE_NM[1] - VISIBLE_
 SIZES = ("thickness", "width", "height")
 
 USAGE = "%(prog)s SPECIMEN -o FILE.xml [options]"
-
-EXAMPLES = """\
-examples:
-  gonio-mi bsdf blind.xml --period box --rel-err 0.01 -o blind_klems.xml
-  gonio-mi bsdf slat.obj --unit mm --normal y --period 25,25 \\
-      --bsdf diffuse:reflectance=0.7 --solar-bsdf diffuse:reflectance=0.6 \\
-      -o blind.xml
-  gonio-mi bsdf roughdielectric:alpha=0.1 --basis tensor3 -o film.xml
-  gonio-mi bsdf diffuse:reflectance=0.7 --solar diffuse:reflectance=0.6 \\
-      -o both.xml
-  gonio-mi bsdf film.xml --variant llvm_ad_spectral --wavelengths 300 320 340 \\
-      360 380 400 450 500 550 600 650 700 800 1000 1300 1600 2000 2500 \\
-      -o film_klems.xml
-"""
 
 
 def add_options(parser: ArgumentParser) -> None:

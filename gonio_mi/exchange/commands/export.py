@@ -4,6 +4,11 @@ Write a record for other tools: a table .csv, a Radiance .xml, a .bsdf for Mitsu
 plugin measured, NetCDF .nc, HDF5 .h5, a .zemax.bsdf for Zemax, a .brdf or
 .anisotropicbsdf for Speos, OpenMATERIAL .json or .xompt, or a .binary as the MERL
 database has them. What was written is read back, and what was lost is said.
+
+examples:
+  gonio-mi export run.npz -o run.xml run.bsdf run.zemax.bsdf run.brdf
+  gonio-mi export run.npz -o run.xml --basis tensor3
+  gonio-mi export front.npz back.npz -o both.xml
 """
 
 from argparse import ArgumentParser, Namespace
@@ -20,13 +25,7 @@ from ..formats.reading import endings_of, lost_in_each
 
 USAGE = "%(prog)s RECORD [RECORD] -o OUT ... [options]"
 
-EXAMPLES = """\
-examples:
-  gonio-mi export run.npz -o run.xml run.bsdf run.zemax.bsdf run.brdf
-  gonio-mi export run.npz -o run.xml --basis tensor3
-  gonio-mi export front.npz back.npz -o both.xml
-"""
-EXAMPLES += f"\nwhat a file cannot hold:\n{lost_in_each()}\n"
+__doc__ = f"{__doc__}\nwhat a file cannot hold:\n{lost_in_each()}\n"
 
 # Fraction of the flux in other patches above which a finer basis is named.
 MAX_MISPLACED = 0.05

@@ -3,15 +3,7 @@
 Ask Mitsuba's own BSDFs and phase functions under several installed versions whether
 their functions agree, and write a page: a row for each set of parameters, a column for
 each version, and for what does not agree a script of at most 20 lines.
-"""
 
-from argparse import ArgumentParser, Namespace
-
-from ...commands.arguments import DONE, FAILED, INCOMPLETE, add_text, say, tell
-
-USAGE = "%(prog)s -o PAGE.html [--against VENV ...] [options]"
-
-EXAMPLES = """\
 examples:
   python3 -m venv old && old/bin/pip install mitsuba==3.8.0 numpy
   gonio-mi conformance --against old -o table.html
@@ -20,6 +12,12 @@ examples:
 The other environments need Mitsuba and NumPy, nothing of this package.
 Exit code 3: something does not agree.
 """
+
+from argparse import ArgumentParser, Namespace
+
+from ...commands.arguments import DONE, FAILED, INCOMPLETE, add_text, say, tell
+
+USAGE = "%(prog)s -o PAGE.html [--against VENV ...] [options]"
 
 
 def add_options(parser: ArgumentParser) -> None:

@@ -4,6 +4,18 @@ Compare what two installed versions of Mitsuba say of the same BSDFs, function b
 function, in units of their errors, with what a difference means. Without a BSDF, all of
 Mitsuba's own that this package knows are compared. What one version says can be saved,
 and two such files compared.
+
+examples:
+  python3 -m venv old && old/bin/pip install mitsuba==3.7.1 numpy
+  gonio-mi diff --against old
+  gonio-mi diff principled roughplastic:alpha=0.2 --against old
+  gonio-mi diff mybsdf:roughness=0.3 --plugin mybsdf.py --against old --json
+  gonio-mi diff mybsdf --plugin mybsdf.py --save new.json
+  gonio-mi diff mybsdf --plugin mybsdf.py --against old --save old.json
+  gonio-mi diff old.json new.json
+
+The other environment needs Mitsuba and NumPy, nothing of this package.
+Exit code 3: something differs by more than errors explain.
 """
 
 import sys
@@ -34,20 +46,6 @@ USAGE = """%(prog)s [BSDF ...] --against VENV [options]
 
 # The one that wheels of all versions have, with colours.
 VARIANT = "llvm_ad_rgb"
-
-EXAMPLES = """\
-examples:
-  python3 -m venv old && old/bin/pip install mitsuba==3.7.1 numpy
-  gonio-mi diff --against old
-  gonio-mi diff principled roughplastic:alpha=0.2 --against old
-  gonio-mi diff mybsdf:roughness=0.3 --plugin mybsdf.py --against old --json
-  gonio-mi diff mybsdf --plugin mybsdf.py --save new.json
-  gonio-mi diff mybsdf --plugin mybsdf.py --against old --save old.json
-  gonio-mi diff old.json new.json
-
-The other environment needs Mitsuba and NumPy, nothing of this package.
-Exit code 3: something differs by more than errors explain.
-"""
 
 
 def add_options(parser: ArgumentParser) -> None:

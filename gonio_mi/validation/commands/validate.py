@@ -2,6 +2,18 @@
 
 Examine a BSDF plugin: what `sample`, `pdf` and `eval` say of the same directions,
 energy, reciprocity, transport modes, flags, masks, and the ends of its domain.
+
+examples:
+  gonio-mi validate roughconductor:alpha=0.2,distribution=ggx
+  gonio-mi validate mybsdf:roughness=0.3 --plugin mybsdf.py --report mybsdf.html
+  gonio-mi validate scene.xml -D alpha=0.3 --effort thorough --json
+  gonio-mi validate cosinelobe --allow reciprocity
+  gonio-mi validate hair:sigma_a=0 --variant llvm_ad_mono --reproducer bug.py
+  gonio-mi validate pplastic --variant llvm_ad_mono_polarized
+
+Exit code 3: something that --allow does not name biases images or breaks integrators
+(with --strict: anything that fails). Exit code 4: undecided, for nothing was lit, or
+no integral converged.
 """
 
 import argparse
@@ -34,20 +46,6 @@ USAGE = "%(prog)s SPECIMEN [options]"
 
 # Where a plugin is judged: with colours, and with one channel.
 VARIANTS = ("llvm_ad_rgb", "llvm_ad_mono")
-
-EXAMPLES = """\
-examples:
-  gonio-mi validate roughconductor:alpha=0.2,distribution=ggx
-  gonio-mi validate mybsdf:roughness=0.3 --plugin mybsdf.py --report mybsdf.html
-  gonio-mi validate scene.xml -D alpha=0.3 --effort thorough --json
-  gonio-mi validate cosinelobe --allow reciprocity
-  gonio-mi validate hair:sigma_a=0 --variant llvm_ad_mono --reproducer bug.py
-  gonio-mi validate pplastic --variant llvm_ad_mono_polarized
-
-Exit code 3: something that --allow does not name biases images or breaks integrators
-(with --strict: anything that fails). Exit code 4: undecided, for nothing was lit, or
-no integral converged.
-"""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
