@@ -44,15 +44,10 @@ CORE = {
     "plan": "Estimate how many rays a measurement needs.",
     "doctor": "Check the installation.",
 }
-_PACKAGES = [(__package__, CORE), *((name, door.COMMANDS) for name, door in doors())]
-MODULES = {
-    name: f"{package}.commands.{name}"
-    for package, summaries in _PACKAGES
-    for name in summaries
-}
-COMMANDS = {
-    name: text for _, summaries in _PACKAGES for name, text in summaries.items()
-}
+COMMANDS, PACKAGES = dict(CORE), dict.fromkeys(CORE, __package__)
+for _name, _door in doors():
+    COMMANDS |= _door.COMMANDS
+    PACKAGES |= dict.fromkeys(_door.COMMANDS, _name)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -146,7 +141,7 @@ def _add_command(commands: Any, name: str) -> None:
     The docstring of its module is the help, after a first line. ``USAGE`` and ``RARE``
     are the module's own, if it has them.
     """
-    module = importlib.import_module(MODULES[name])
+    module = importlib.import_module(f"{PACKAGES[name]}.commands.{name}")
     _, _, text = inspect.cleandoc(module.__doc__ or "").partition("\n")
     description, examples, more = text.partition("examples:\n")
     own = commands.add_parser(

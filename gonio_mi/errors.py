@@ -354,16 +354,6 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     return f"; did you mean {similar[0]}?" if similar else ""
 
 
-def unknown_channel(
-    place: object, names: Iterable[str], channel: str | None
-) -> SettingError:
-    """Error for a channel that the file `place` lacks, or that was not said."""
-    known = abridged(", ".join(names), 120)
-    found = "none was said: say --channel" if channel is None else shown(channel)
-    separator = "; " if channel is None else ", got "
-    return SettingError(f"channel must be one of {known} for {place}{separator}{found}")
-
-
 def checked_choice(name: str, value: Choice, choices: Iterable[Choice]) -> Choice:
     """Return `value` if it is one of `choices`."""
     if value not in choices:

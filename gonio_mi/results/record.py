@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..array_types import Floats
-from ..errors import SettingError, abridged, printable, shown, unknown_channel
+from ..errors import SettingError, abridged, printable, shown
 from ..settings import MeasurementSettings
 from ..settings.measurement_settings import MAX_RAYS
 from .patch_means import PatchMeans
@@ -318,7 +318,11 @@ def chosen_channel(place: object, names: Sequence[str], channel: str | None) -> 
     for name in (channel, f"{channel}nm"):
         if name in names:
             return str(name)
-    raise unknown_channel(place, names, channel)
+    known = abridged(", ".join(names), 120)
+    found = "; none was said: say --channel"
+    if channel is not None:
+        found = f", got {shown(channel)}"
+    raise SettingError(f"channel must be one of {known} for {place}{found}")
 
 
 # ---------------------------------------------------------------------- of other rooms
