@@ -8,12 +8,7 @@ import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
 from gonio_mi.plots.profile import drawn_in_rings, profile
 
-COLLECTORS = [
-    "klems",
-    "klems-half",
-    "klems-quarter",
-    "shirley-chiu:8",
-]
+COLLECTORS = ["klems", "klems-half", "klems-quarter", "shirley-chiu:8"]
 
 
 @pytest.mark.parametrize("collector", COLLECTORS)
@@ -25,12 +20,11 @@ def test_each_place_has_the_value_of_its_patch(collector):
     assert np.array_equal(drawn[..., 0], 1.0 + index)
 
 
-@pytest.mark.parametrize("collector", COLLECTORS)
-def test_they_are_drawn(tmp_path, collector):
+@pytest.mark.parametrize("collector", COLLECTORS[-2:])
+def test_they_are_drawn(collector):
     pytest.importorskip("matplotlib")
     record = synthetic.record(collector, both=True)
-    gonio.plot(record, tmp_path / "a.png")
-    assert (tmp_path / "a.png").stat().st_size > 10_000
+    assert len(gonio.plot(record)._repr_png_()) > 10_000
 
 
 def record_of_apertures(collector):
