@@ -12,8 +12,8 @@ import lines
 # Lines of code: none blank, no comment, no docstring. `python tests/tools/lines.py`.
 BUDGET = {
     "collector": 770,
-    "settings": 650,
-    "results": 2620,
+    "settings": 610,
+    "results": 2610,
     "files": 1470,
     "surfaces": 720,
     "plots": 830,
@@ -23,8 +23,8 @@ BUDGET = {
     "campaigns": 620,
     "plugins": 1060,
     "reports": 250,
-    "commands": 1200,
-    "entrance": 750,
+    "commands": 1140,
+    "entrance": 730,
     "materials": 2660,
     "exchange": 3770,
     "analysis": 4040,
