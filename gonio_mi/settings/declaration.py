@@ -101,9 +101,14 @@ def setting(default: Any, *declared: Any, **more: Any) -> Any:
     return dataclasses.field(default=default, metadata={"declared": declaration})
 
 
-@cache
 def declarations(settings: Any) -> Mapping[str, Declaration]:
     """Declarations of a dataclass of settings by name, in their order."""
+    return _declarations(settings)
+
+
+@cache
+def _declarations(settings: Any) -> Mapping[str, Declaration]:
+    """The same, which are put together once."""
     return MappingProxyType(
         {
             field.name: field.metadata["declared"].named(field.name)
