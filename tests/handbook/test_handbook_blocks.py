@@ -105,10 +105,11 @@ def fast(words):
             rest[at] = f"{limit(float(rest[at]), bound):g}"
     if command == "measure" and not {"--rays", *PRECISE} & {*rest}:
         rest += ["--rays", f"{RAYS:g}"]
-    if command == "measure" and not {"--collector", "--points", "--tolerance"} & {
-        *rest
-    }:
+    own = {"--collector", "--points", "--tolerance"}
+    if command == "measure" and not own & {*rest}:
         rest += ["--collector", "projected:12x12"]
+    if command == "measure" and "--tolerance" in rest:
+        rest += ["--theta-max", "50"]
     of_matrices = command == "bsdf" or any(word.endswith(".xml") for word in rest)
     if command in ("bsdf", "export") and of_matrices and "--basis" not in rest:
         rest += ["--basis", "klems-quarter"]
