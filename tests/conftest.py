@@ -70,9 +70,9 @@ SLOW = """
     orientation paper_bsdfs patch_variation periodic phase_functions phase_verdicts
     places plane polar_cross_validation polarised porous pytest_entry quadrature
     refused_settings reports reproducers rounds scenes short_bsdfs slabs sobol
-    spectral_coverage stacks stock stock_bsdfs surface_files suspects tables
-    tolerance_command transport types verdicts versions where_methods_fail whole_bsdf
-    workers
+    spectral_coverage stacks stock stock_bsdfs surface_files surface_points suspects
+    tables tolerance_command transport types verdicts versions where_methods_fail
+    whole_bsdf workers
 """
 
 
