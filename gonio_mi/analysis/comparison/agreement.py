@@ -36,7 +36,7 @@ class Readings:
     `residual` has the shape (n_batches, n), and ``residual.T @ residual`` is the
     covariance of the values, estimated from the batches; `exposure` is the number of
     hits per unit of value, `weight` the mean flux of a hit, and `usual` that of all
-    hits in the hemisphere.
+    hits in the hemisphere; `solid` are projected solid angles.
     """
 
     value: np.ndarray
@@ -46,6 +46,7 @@ class Readings:
     exposure: np.ndarray
     weight: np.ndarray
     usual: np.ndarray
+    solid: np.ndarray
     dof: float
 
     @classmethod
@@ -53,11 +54,12 @@ class Readings:
         cls,
         record: Record,
         index: int,
-        hemisphere: Integers,
+        hemisphere: Integers | int,
+        channel: Integers | int,
         patch: Integers,
-        channel: Integers,
     ) -> Readings:
         """Readings at flat patch indices, of each its hemisphere and channel."""
+        hemisphere, channel, patch = np.broadcast_arrays(hemisphere, channel, patch)
         one, tally = record[index], record.tallies[index]
         estimates = record.estimates[index]
         row, column = np.divmod(patch, record.subdivision.shape[1])
@@ -83,6 +85,7 @@ class Readings:
                 exposure=HITS_OF_INTEGRALS * solid,
                 weight=np.ones(len(value)),
                 usual=np.ones(len(value)),
+                solid=solid,
                 dof=1e9,
             )
         sums = tally.sums[(slice(None), *where)].astype(float)
@@ -97,6 +100,7 @@ class Readings:
             exposure=rays * solid / weight,
             weight=weight,
             usual=usual,
+            solid=solid,
             dof=1e9 if estimates.binomial else n - 1.0,
         )
 
@@ -147,10 +151,9 @@ class PointSet:
     readings: Readings
     other: np.ndarray
     other_error: np.ndarray  # independent between points, without that of the readings
-    other_dof: np.ndarray
-    other_readings: Readings | None
-    solid: np.ndarray
     total_of: list[Any]  # to which total each point belongs
+    other_dof: np.ndarray | float = np.inf
+    other_readings: Readings | None = None
     variation: Variation | None = None  # of means over patches beside points
     sharing: int = 1  # how many sets may have one noise, as copies of one direction
 
@@ -255,7 +258,7 @@ class _Total:
 
 def _add_total(total: _Total, one: PointSet, key: object, shared: Floats) -> None:
     """Add the points of a set that belong to `key`."""
-    solid = one.solid * np.array([own == key for own in one.total_of])
+    solid = one.readings.solid * np.array([own == key for own in one.total_of])
     value, variance, dof = one.readings.total(solid)
     other = one.other @ solid
     total.difference += value - other

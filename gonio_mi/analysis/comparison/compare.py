@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -120,15 +120,17 @@ def compare(
     """
     alpha = checked_number("alpha", alpha, 1e-100, 1, "a probability between 0 and 1")
     records, other = _with_specimen_measured(record, other, settings)
+    given = {"uncertainty": uncertainty, "scale_uncertainty": scale_uncertainty}
+    if isinstance(other, MeasuredTable):
+        stated: Any = {name: x for name, x in given.items() if x is not None}
+        other = replace(other, **stated)
     integrated = isinstance(other, MeasuredTable) and any(
         without_chance(one.tallies) for one in records
     )
     for one in (*records, other):
         if isinstance(one, Record) and not integrated:
             check_uncertainties(one)
-    sets, notes, compared, scale = _paired(
-        records, other, uncertainty, scale_uncertainty
-    )
+    sets, notes, compared, scale = _paired(records, other, given)
     if integrated:
         notes.append(OF_EVAL)
     measured = [*records, other] if isinstance(other, Record) else records
@@ -138,16 +140,12 @@ def compare(
         if any(map(_is_even, measured)) and mostly_few(sets):
             notes.append(POWERLESS)
     undecided = left_undecided(sets, scale, p_values, alpha, notes)
-    columns = {
-        name: np.concatenate([one.columns[name] for one in sets])
-        for name in sets[0].columns
-    }
+    points = [{**one.columns, **vars(one.readings), "other": one.other} for one in sets]
+    names = (*sets[0].columns, "value", "std_err", "other")
+    columns = {name: np.concatenate([one[name] for one in points]) for name in names}
     columns |= {name: azimuths_deg(columns[name]) for name in ("phi_i", "phi_o")}
     found = Comparison(
         **columns,
-        value=np.concatenate([one.readings.value for one in sets]),
-        std_err=np.concatenate([one.readings.std_err for one in sets]),
-        other=np.concatenate([one.other for one in sets]),
         other_std_err=errors,
         z=z,
         statistics=statistics,
@@ -159,8 +157,7 @@ def compare(
         within_patches=any(one.variation is not None for one in sets),
     )
     if isinstance(other, MeasuredTable) and found.verdict == "differ":
-        given = uncertainty, scale_uncertainty, alpha
-        more = _note_on_azimuths(records, other, given)
+        more = _note_on_azimuths(records, other, alpha)
         found = replace(found, notes=(*found.notes, *more))
     return found
 
@@ -180,13 +177,17 @@ def _with_specimen_measured(
         raise SettingTypeError(
             f"record must be a Record or several, got {shown(record)}"
         )
+    if not isinstance(other, (Record, MeasuredTable)):
+        raise SettingTypeError(
+            f"other must be a Record or a MeasuredTable, got {shown(other)}"
+        )
+    if isinstance(other, Record) and len(records) != 1:
+        raise SettingTypeError("record must be one Record if other is one, got several")
     return records, other
 
 
 def _note_on_azimuths(
-    records: Sequence[Record],
-    table: MeasuredTable,
-    given: tuple[float | None, float | None, float],
+    records: Sequence[Record], table: MeasuredTable, alpha: float
 ) -> list[str]:
     """Note that a table would agree, were its azimuths counted in another way."""
     ways = {
@@ -194,13 +195,12 @@ def _note_on_azimuths(
         "the table with azimuths of exit clockwise": -table.phi_o,
         "the table with azimuths of exit 180 degrees on": table.phi_o + 180,
     }
-    uncertainty, scale_uncertainty, alpha = given
     for way, azimuth in ways.items():
         if np.allclose(*np.exp(1j * np.radians([table.phi_o, azimuth]))):
             continue  # all in the plane of incidence
         turned = replace(table, phi_o=azimuth)
         try:
-            paired = _paired(records, turned, uncertainty, scale_uncertainty)
+            sets, notes = pair_with_table(records, turned)
         except SettingError:  # apertures stand elsewhere: most of them may not
             both = _measured_both_ways(table, azimuth)
             if 2 * both.sum() < len(table):
@@ -208,10 +208,11 @@ def _note_on_azimuths(
             names = [*COLUMNS, *(["sigma"] if table.sigma is not None else [])]
             columns = {name: getattr(turned, name)[both] for name in names}
             turned = replace(turned, **columns)
-            paired = _paired(records, turned, uncertainty, scale_uncertainty)
-        sets, notes, _, scale = paired
-        p_values = judge(sets, scale)[3]
-        undecided = left_undecided(sets, scale, p_values, alpha, notes)
+            sets, notes = pair_with_table(records, turned)
+        p_values = judge(sets, table.scale_uncertainty)[3]
+        undecided = left_undecided(
+            sets, table.scale_uncertainty, p_values, alpha, notes
+        )
         if not undecided and len(p_values) * min(p_values.values()) >= alpha:
             return [f"{way} would agree"]
     return []
@@ -234,47 +235,28 @@ def _measured_both_ways(table: MeasuredTable, azimuth: Floats) -> Flags:
 def _paired(
     records: Sequence[Record],
     other: Record | MeasuredTable,
-    uncertainty: float | None,
-    scale_uncertainty: float | None,
+    given: Mapping[str, float | None],
 ) -> tuple[list[PointSet], list[str], tuple[str, str], float]:
-    """Sets of points of both, notes, labels, and the uncertainty of a common factor."""
-    given = {"uncertainty": uncertainty, "scale_uncertainty": scale_uncertainty}
-    if isinstance(other, MeasuredTable):
-        stated: Any = {k: v for k, v in given.items() if v is not None}
-        table = replace(other, **stated)
-        sets, notes = pair_with_table(records, table)
-        names = records[0].provenance.name, table.name
-        compared = abridged(names[0], LABEL), abridged(names[1], LABEL)
-        return sets, notes, compared, table.scale_uncertainty
-    if isinstance(other, Record):
-        if len(records) != 1:
-            raise SettingTypeError(
-                "record must be one Record if other is one, got several"
-            )
-        relative, scale = (
-            checked_number(name, value or 0, *NUMBERS[name])
-            for name, value in given.items()
-        )
-        first, second, notes = _with_all_elements(records[0], other)
-        sets, more = pair_with_record(first, second, relative)
-        return sets, notes + more, labels(records[0], other), scale
-    raise SettingTypeError(
-        f"other must be a Record or a MeasuredTable, got {shown(other)}"
-    )
+    """Sets of points of both, notes, labels, and the uncertainty of a common factor.
 
-
-def _with_all_elements(
-    record: Record, other: Record
-) -> tuple[Record, Record, list[str]]:
-    """Records whose channels are the elements of Mueller matrices, if both have them.
-
-    Half the sum of each with the first one, which is a flux; and notes.
+    Of records that both have Mueller matrices all elements are channels.
     """
+    record = records[0]
+    if isinstance(other, MeasuredTable):
+        sets, notes = pair_with_table(records, other)
+        compared = abridged(record.provenance.name, LABEL), abridged(other.name, LABEL)
+        return sets, notes, compared, other.scale_uncertainty
+    relative, scale = (
+        checked_number(name, value or 0, *NUMBERS[name])
+        for name, value in given.items()
+    )
+    compared, notes = labels(record, other), []
     if record.polarised and other.polarised:
-        return _as_channels(record), _as_channels(other), []
-    if record.polarised or other.polarised:
-        return record, other, ["one record has no Mueller matrices: M00 is compared"]
-    return record, other, []
+        record, other = _as_channels(record), _as_channels(other)
+    elif record.polarised or other.polarised:
+        notes.append("one record has no Mueller matrices: M00 is compared")
+    sets, more = pair_with_record(record, other, relative)
+    return sets, notes + more, compared, scale
 
 
 def _as_channels(record: Record) -> Record:

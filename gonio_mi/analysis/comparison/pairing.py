@@ -1,7 +1,7 @@
 """Pairs of points of a record and of what it is compared with; unlike conditions."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,8 +16,10 @@ from ...results.azimuth_symmetry import sharing
 from ...results.provenance import shared_seeds
 from ...results.record import Record
 from ...settings import MeasurementSettings, declarations
-from .agreement import PointSet, Readings, Variation
+from .agreement import PointSet, Readings
 from .patch_variation import REMEDY, variation_within
+
+DIRECTIONS = ("theta_i", "phi_i", "theta_o", "phi_o")
 
 # Note on a table, which comes before all numbers: they mean little without it.
 NO_UNCERTAINTY = (
@@ -51,10 +53,15 @@ def pair_with_record(
     theta_o = np.degrees(theta)[patch]
     sets, alike = [], list(map(max, sharing(record), sharing(other)))
     for k in range(len(record)):
-        incident = (record.theta_i[k], record.phi_i[k])
-        _check_incident(incident, (other.theta_i[k], other.phi_i[k]))
-        first = Readings.of(record, k, hemisphere, patch, channel)
-        second = Readings.of(other, k, hemisphere, patch, channel)
+        incident, same = _incident(record, k), _incident(other, k)
+        if not _same(incident, same):
+            raise SettingError(
+                "the records must have the same incident directions, got (theta_i, "
+                f"phi_i) = ({incident[0]:.6g}, {incident[1]:.6g}) and ({same[0]:.6g}, "
+                f"{same[1]:.6g}) degrees"
+            )
+        first = Readings.of(record, k, hemisphere, channel, patch)
+        second = Readings.of(other, k, hemisphere, channel, patch)
         columns = {
             "theta_i": np.full(len(patch), incident[0]),
             "phi_i": np.full(len(patch), incident[1]),
@@ -62,18 +69,14 @@ def pair_with_record(
             "phi_o": np.degrees(phi)[patch],
             "channel": np.array(record.channels)[channel],
         }
-        solid = patches.projected_solid_angles.ravel()[patch]
         keys = [(k, h, c) for h, c in zip(hemisphere.tolist(), channel.tolist())]
-        error = relative * np.abs(second.value)
         sets.append(
             PointSet(
                 columns,
                 readings=first,
                 other=second.value,
-                other_error=error,
-                other_dof=np.full(len(error), np.inf),
+                other_error=relative * np.abs(second.value),
                 other_readings=second,
-                solid=solid,
                 total_of=keys,
                 sharing=alike[k],
             )
@@ -113,18 +116,33 @@ def pair_with_table(
         patch, held = record.subdivision.detectors(v)
         in_patches = _stand_for_points(record.subdivision, table)
         for k in range(len(record)):
-            incident = (record.theta_i[k], record.phi_i[k])
+            incident = _incident(record, k)
             here = left & held & _same(incident, (table.theta_i, table.phi_i))
             left &= ~here
-            side = _Side(record, k, hemisphere, channel)
+            readings = partial(Readings.of, record, k, hemisphere, channel)
             variation = None
             if in_patches and here.any():
                 variation, known = variation_within(
-                    record.subdivision, patch[here], side.readings
+                    record.subdivision, patch[here], readings
                 )
                 coarse[here], here[here] = ~known, known
-            if here.any():
-                sets.append(side.points(table, here, errors, patch, variation))
+            if not (n := int(here.sum())):
+                continue
+            columns: dict[str, Any] = {
+                name: getattr(table, name)[here] for name in DIRECTIONS
+            }
+            sets.append(
+                PointSet(
+                    columns | {"channel": np.full(n, record.channels[channel])},
+                    readings=readings(patch[here]),
+                    other=table.bsdf[here],
+                    other_error=errors[here],
+                    other_dof=table.bsdf_dof[here],
+                    total_of=[tuple(np.round(incident, 3))] * n,
+                    variation=variation,
+                    sharing=sharing(record)[k],
+                )
+            )
     beyond = left & _reach_below(records, table)
     if beyond.any() and not beyond.all():
         notes.append(
@@ -138,59 +156,21 @@ def pair_with_table(
     return sets, list(dict.fromkeys(notes))
 
 
-@dataclass(frozen=True)
-class _Side:
-    """A channel of one hemisphere of a record, at one incident direction."""
-
-    record: Record
-    k: int
-    hemisphere: int
-    channel: int
-
-    def readings(self, numbers: Integers) -> Readings:
-        """Readings of some patches."""
-        where, own = (np.full(len(numbers), n) for n in (self.hemisphere, self.channel))
-        return Readings.of(self.record, self.k, where, numbers, own)
-
-    def points(
-        self,
-        table: MeasuredTable,
-        here: Flags,
-        errors: Floats,
-        patch: Integers,
-        variation: Variation | None,
-    ) -> PointSet:
-        """Points of a table that are `here`, each with the patch that holds it."""
-        record, k = self.record, self.k
-        names = ("theta_i", "phi_i", "theta_o", "phi_o")
-        columns = {name: getattr(table, name)[here] for name in names}
-        columns["channel"] = np.full(here.sum(), record.channels[self.channel])
-        solid = record.subdivision.projected_solid_angles.ravel()[patch[here]]
-        incident = record.theta_i[k], record.phi_i[k]
-        keys = [tuple(np.round(incident, 3))] * int(here.sum())
-        return PointSet(
-            columns,
-            readings=self.readings(patch[here]),
-            other=table.bsdf[here],
-            other_error=errors[here],
-            other_dof=table.bsdf_dof[here],
-            other_readings=None,
-            solid=solid,
-            total_of=keys,
-            variation=variation,
-            sharing=sharing(record)[k],
-        )
-
-
 def _stand_for_points(patches: Any, table: MeasuredTable) -> bool:
     """Whether means over patches stand for the points of a table.
 
-    False if the table itself holds patch means, as exported files do.
+    False for apertures, and if the table itself holds patch means, as exported files
+    do; ValueError if the apertures are not as wide as those of the table.
     """
-    if patches.aperture_half_angle is not None:
-        _check_apertures(patches, table)
-        return False
-    return table.header.get("collector") != str(patches)
+    own, stated = patches.aperture_half_angle, table.aperture_half_angle
+    if own is None:
+        return table.header.get("collector") != str(patches)
+    if stated is not None and not np.isclose(stated, own, rtol=EDGE, atol=0):
+        raise SettingError(
+            f"the record's apertures must have the half-angle of {table.name}, "
+            f"{stated:g} degrees, got {own:g}"
+        )
+    return False
 
 
 def _reach_below(records: Sequence[Record], table: MeasuredTable) -> Flags:
@@ -237,28 +217,16 @@ def _lacking(records: Sequence[Record], table: MeasuredTable, row: int) -> str:
     )
 
 
-def _check_apertures(patches: Any, table: MeasuredTable) -> None:
-    """Raise ValueError if the apertures are not as wide as those of the table."""
-    own, stated = patches.aperture_half_angle, table.aperture_half_angle
-    if stated is not None and not np.isclose(stated, own, rtol=EDGE, atol=0):
-        raise SettingError(
-            f"the record's apertures must have the half-angle of {table.name}, "
-            f"{stated:g} degrees, got {own:g}"
-        )
-
-
 def _channel(record: Record, table: MeasuredTable, notes: list[str]) -> int:
     """Index of the record's channel that a table's values belong to."""
     names = list(record.channels)
     if table.channel in names:
         return names.index(table.channel)
-    if names == ["Y"]:
-        if table.channel is not None:
-            notes.append(
-                f"the record is monochrome: it stands for {table.channel} of the table"
-            )
-        return 0
-    if table.channel is None and len(names) == 1:
+    if names == ["Y"] and table.channel is not None:
+        notes.append(
+            f"the record is monochrome: it stands for {table.channel} of the table"
+        )
+    if names == ["Y"] or (table.channel is None and len(names) == 1):
         return 0
     said = "no channel" if table.channel is None else f"channel {table.channel}"
     raise SettingError(
@@ -282,12 +250,9 @@ def check_uncertainties(record: Record) -> None:
     )
 
 
-def _check_incident(a: tuple[float, float], b: tuple[float, float]) -> None:
-    if not _same(a, b):
-        raise SettingError(
-            "the records must have the same incident directions, got (theta_i, phi_i) "
-            f"= ({a[0]:.6g}, {a[1]:.6g}) and ({b[0]:.6g}, {b[1]:.6g}) degrees"
-        )
+def _incident(record: Record, k: int) -> tuple[float, float]:
+    """Polar angle and azimuth of an incident direction of a stack, in degrees."""
+    return record.theta_i[k], record.phi_i[k]
 
 
 def _same(a: Any, b: Any) -> Any:
