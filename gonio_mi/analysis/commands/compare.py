@@ -95,18 +95,23 @@ def add_options(parser: ArgumentParser) -> None:
 def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
     from ...plots import check_picture
-    from ..comparison import compare
+    from ..comparison import compare, measure_like
 
     if options.output is not None:
         check_picture(options.output)
     if options.budget is not None:
         files.check_output(options.budget, (".csv",))
     other = _other(options)
-    record, specimen = _record(options, other)
-    if specimen is not None and other is None:
-        other, record = record, _measured(specimen, record, options)
-    elif specimen is not None:
-        record = _measured(specimen, other, options)
+    record, specimen, parameters = _record(options, other)
+    settings = {
+        "parameters": parameters,
+        "aperture_half_angle": options.aperture_half_angle,
+        "seed": options.seed,
+        **given_options(options, MEASURED),
+    }
+    if specimen is not None:
+        other = record if other is None else other
+        record = measure_like(specimen, other, progress=True, **settings)
     comparison = compare(
         record,
         other,
@@ -116,10 +121,11 @@ def run(options: Namespace) -> int:
     )
     if options.output is not None:
         comparison.plot(options.output)
-    said = [comparison]
+    said: list[Any] = [comparison]
     try:
         if options.budget is not None:
-            said.append(_saved_budget(comparison, specimen, other, options))
+            said.append(_budget(comparison, specimen, other, settings, options))
+            said[-1].save(options.budget)
     finally:  # also if the effect of the aperture cannot be told
         if options.json:
             tell_json(comparison.to_dict())
@@ -158,8 +164,11 @@ def _other(options: Namespace) -> Any:
         check_nothing_open(error.place, [*error.questions, aperture])
 
 
-def _record(options: Namespace, other: Any) -> tuple[Any, Any]:
-    """Record that RECORD is, and the specimen that is to be measured, or None."""
+def _record(options: Namespace, other: Any) -> tuple[Any, Any, Any]:
+    """Record that RECORD is, and the specimen to be measured with its parameters.
+
+    None for what is not there.
+    """
     word = options.record
     if not _is_record(word):
         if _is_record(options.other):
@@ -167,39 +176,31 @@ def _record(options: Namespace, other: Any) -> tuple[Any, Any]:
                 f"RECORD must be an .exr or .npz file if OTHER is one, got {word}"
             )
         options.variant = options.variant or variant_for(other.channel)
-        return None, specimen_of(word, options)
+        return None, *specimen_of(word, options)
     if other is None:
         record = record_of(word)
         own = record.provenance.variant or DEFAULT_VARIANT
         options.variant = options.variant or own
-        return record, specimen_of(options.other, options)
+        return record, *specimen_of(options.other, options)
     for name in given_options(options, ("aperture_half_angle", *MEASURED)):
         raise SettingError(
             f"{option_of(name)} applies to a specimen that is to be measured, got "
             f"the record {word}"
         )
-    return record_of(word), None
+    return record_of(word), None, None
 
 
-def _measured(specimen: tuple[Any, Any], like: Any, options: Namespace) -> Any:
-    """Records of a specimen, measured like a table or a record."""
-    from ..comparison import measure_like
-
-    return measure_like(
-        specimen[0],
-        like,
-        parameters=specimen[1],
-        aperture_half_angle=options.aperture_half_angle,
-        seed=options.seed,
-        progress=True,
-        **given_options(options, MEASURED),
-    )
-
-
-def _saved_budget(
-    comparison: Any, specimen: Any, other: Any, options: Namespace
+def _budget(
+    comparison: Any,
+    specimen: Any,
+    other: Any,
+    settings: dict[str, Any],
+    options: Namespace,
 ) -> Any:
-    """Uncertainty budget, after it was written."""
+    """Uncertainty budget of a comparison, with the aperture's effect if there is one.
+
+    The `settings` are those with which a specimen was measured.
+    """
     from ...files.measured_table import MeasuredTable
     from ..comparison import aperture_effect, uncertainty_budget
 
@@ -208,15 +209,5 @@ def _saved_budget(
         scale = other.scale_uncertainty if scale is None else scale
         in_patches = options.aperture_half_angle is None and other.patches is not None
         if specimen is not None and not in_patches:
-            aperture = aperture_effect(
-                specimen[0],
-                other,
-                comparison,
-                parameters=specimen[1],
-                aperture_half_angle=options.aperture_half_angle,
-                seed=options.seed,
-                **given_options(options, MEASURED),
-            )
-    budget = uncertainty_budget(comparison, scale or 0.0, aperture)
-    budget.save(options.budget)
-    return budget
+            aperture = aperture_effect(specimen, other, comparison, **settings)
+    return uncertainty_budget(comparison, scale or 0.0, aperture)

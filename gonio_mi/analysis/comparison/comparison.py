@@ -134,8 +134,8 @@ class Comparison:
             "n_points": len(self.z),
             "rms": self.rms,
             "rms_expected": self.rms_expected,
-            "relative_rms": _known(self.relative_rms),
-            "statistics": {name: _known(x) for name, x in self.statistics.items()},
+            "relative_rms": known(self.relative_rms),
+            "statistics": {name: known(x) for name, x in self.statistics.items()},
             "p_values": dict(self.p_values),
             "worst": self.worst,
             "notes": list(self.notes),
@@ -164,15 +164,10 @@ class Comparison:
         check_picture(path)
         finished(comparison_figure(self), path)
 
-    def _scaled(self) -> str:
-        """By what others count in z, if that is not 1."""
-        scale = self.statistics["scale"]
-        return "" if scale == 1 else f" (times {scale:.4g} in z)"
-
     def _point(self, i: int) -> dict[str, Any]:
         directions = ("theta_i", "phi_i", "theta_o", "phi_o")
         names = (*directions, "value", "std_err", "other", "other_std_err", "z")
-        point = {name: _known(float(getattr(self, name)[i])) for name in names}
+        point = {name: known(float(getattr(self, name)[i])) for name in names}
         return point | {"channel": str(self.channel[i])}
 
     def _repr_html_(self) -> str:
@@ -188,6 +183,7 @@ class Comparison:
         together = f" ({found['chi2']:.4g} for {n} points, before correlation)"
         if np.isclose(found["chi2_dof"], n):
             together = ""
+        scaled = "" if found["scale"] == 1 else f" (times {found['scale']:.4g} in z)"
         lines = [
             *(f"note: {one}" for one in self.notes if one.endswith(NO_UNCERTAINTY)),
             f"rms error   {self.rms:.4g} 1/sr, {100 * self.relative_rms:.3g} % of the "
@@ -211,7 +207,7 @@ class Comparison:
             f"gives p < {self.alpha:g} in one of {1 / self.alpha:.4g} comparisons",
             "",
             "worst points, angles in degrees, values in 1/sr: value of "
-            f"{self.labels[0]}, other of {self.labels[1]}{self._scaled()}, z: normal "
+            f"{self.labels[0]}, other of {self.labels[1]}{scaled}, z: normal "
             "score of the difference",
             "theta_i  phi_i  theta_o  phi_o  channel   value +- std_err      "
             "other +- std_err          z",
@@ -232,7 +228,8 @@ class Comparison:
         return "\n".join([*lines, *notes])
 
 
-def _known(value: float) -> float | None:
+def known(value: float) -> float | None:
+    """None in place of NaN and infinity, which JSON does not have."""
     return value if np.isfinite(value) else None
 
 

@@ -8,7 +8,6 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from ...array_types import Flags
 from ...campaigns.execution import ExecutionContext, records_of
 from ...campaigns.measure import measure_whole
 from ...collector.apertures import Apertures, disjoint_groups, is_above
@@ -163,15 +162,12 @@ def _like_table(
             ignored = "(rel_err|noise) of .* was not reached"
             warnings.filterwarnings("ignore", ignored)
         if not isinstance(solid_angles, Subdivision):
-            ways = [{}] if asked else _ways(table)
-            return _in_apertures(
-                specimen, table, solid_angles, seed, ways, settings, progress
-            )
+            ways = [settings | way for way in ([{}] if asked else _ways(table))]
+            return _in_apertures(specimen, table, solid_angles, seed, ways, progress)
         if not asked:
             settings["noise"] = _noise(table, solid_angles)
         settings |= {"collector": solid_angles, "seed": _other_seed(seed, 0)}
-        stack = _stack(specimen, table.incident, settings, progress)
-    return tuple(stack[number] for number in range(len(stack)))
+        return tuple(_stack(specimen, table.incident, settings, progress))
 
 
 def _in_apertures(
@@ -180,22 +176,25 @@ def _in_apertures(
     half_angle: float,
     seed: int,
     ways: list[dict[str, Any]],
-    settings: dict[str, Any],
     progress: bool,
 ) -> tuple[Record, ...]:
     """Records in apertures of a half-angle, measured in the first way that can."""
     records: list[Record] = []
     for theta_i, phi_i in counted(table.incident, progress, unit="direction"):
         here = (table.theta_i == theta_i) & (table.phi_i == phi_i)
-        for collector in _collectors(table, here, half_angle):
+        here &= is_above(pole_angle(table.theta_o), half_angle)
+        theta_o = pole_angle(table.theta_o[here])
+        # the same direction once, whatever the turn of its azimuth
+        cones = dict.fromkeys(zip(theta_o.tolist(), (table.phi_o[here] % 360).tolist()))
+        for group in disjoint_groups(list(cones), half_angle) if cones else []:
             n = len(records)
             own = {
                 "theta_i": theta_i,
                 "phi_i": phi_i,
-                "collector": collector,
+                "collector": Apertures(half_angle, tuple(group)),
                 "seed": _other_seed(seed, n) if n or table.rays else seed,
             }
-            records.append(_first_that_can(specimen, ways, **own, **settings))
+            records.append(_first_that_can(specimen, ways, own))
     if not records:
         raise SettingError(
             f"each aperture of half-angle {half_angle:g} degrees of {table.name} "
@@ -218,8 +217,8 @@ def _stack(
     """Stack of incident directions, which share launches, tasks or workers."""
     executor, folder = settings.get("executor"), settings.get("folder")
     where = ExecutionContext(executor, folder, progress=progress)
-    settings = {k: v for k, v in settings.items() if k not in ("executor", "folder")}
-    return records_of({"specimen": specimen}, incidents, where, settings)["specimen"]
+    own = {k: v for k, v in settings.items() if k not in ("executor", "folder")}
+    return records_of({"specimen": specimen}, incidents, where, own)["specimen"]
 
 
 def _ways(table: MeasuredTable) -> list[dict[str, Any]]:
@@ -237,7 +236,7 @@ def _ways(table: MeasuredTable) -> list[dict[str, Any]]:
 
 
 def _first_that_can(
-    specimen: SpecimenLike, ways: list[dict[str, Any]], **settings: Any
+    specimen: SpecimenLike, ways: list[dict[str, Any]], own: dict[str, Any]
 ) -> Record:
     """Record in the first of the `ways` that can; those before it are dropped.
 
@@ -245,26 +244,14 @@ def _first_that_can(
     """
     while len(ways) > 1:
         try:
-            record = measure_whole(specimen, **settings, **ways[0])
+            record = measure_whole(specimen, **ways[0] | own)
             sampled = not record.asked.estimator.integrates
             if sampled or without_chance(record.tallies):
                 return record
         except (SpecimenError, VariantError):
             pass
         del ways[0]
-    return measure_whole(specimen, **settings, **ways[0])
-
-
-def _collectors(
-    table: MeasuredTable, here: Flags, half_angle: float
-) -> list[Subdivision]:
-    """Collectors that hold the points of a table that are `here`."""
-    here = here & is_above(pole_angle(table.theta_o), half_angle)
-    theta_o = pole_angle(table.theta_o[here])
-    # the same direction once, whatever the turn of its azimuth
-    cones = dict.fromkeys(zip(theta_o.tolist(), (table.phi_o[here] % 360).tolist()))
-    groups = disjoint_groups(list(cones), half_angle) if cones else []
-    return [Apertures(half_angle, tuple(group)) for group in groups]
+    return measure_whole(specimen, **ways[0] | own)
 
 
 def _error_beside(typical: float) -> float:
@@ -302,9 +289,8 @@ def _like_record(
             f"the record was lit by {emitter:.60}, which it does not hold: measure the "
             "specimen under that emitter too, and compare the two records"
         )
-    names: tuple[str, ...] = REPEATED_SETTINGS
-    if not record.asked.estimator.integrates:
-        names += SAMPLING_SETTINGS
+    sampled = not record.asked.estimator.integrates
+    names = (*REPEATED_SETTINGS, *(SAMPLING_SETTINGS if sampled else ()))
     again = {name: known[name] for name in names if known.get(name) is not None}
     given = {name: value for name, value in settings.items() if value is not None}
     if given.keys() & {"rel_err", "noise", "rays"}:
@@ -314,11 +300,9 @@ def _like_record(
         again["wavelengths"] = nm.tolist()
     again["collector"] = record.subdivision
     again["hemispheres"] = "both" if record.has_lower else "upper"
-    again |= given
-    if seed is None:
-        seed = max(record.provenance.seeds, default=0) + 1
+    own = max(record.provenance.seeds, default=0) + 1
+    again |= given | {"seed": own if seed is None else seed}
     incidents = list(zip(record.theta_i.tolist(), record.phi_i.tolist()))
-    again["seed"] = seed
     try:
         stack = _stack(specimen, incidents, again, progress)
     except SpecimenError:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ...array_types import Flags, Floats, Integers
+from ...array_types import Flags, Floats
 from ...collector.apertures import is_above
 from ...collector.directions import direction
 from ...collector.hemisphere import EDGE

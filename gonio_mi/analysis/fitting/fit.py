@@ -21,8 +21,9 @@ from ...reports.page import picture_and_text
 from ...results.azimuth_symmetry import without_copies
 from ...results.record import Record, wavelengths_nm
 from ...transport.kernels import launches_kernels
+from ..comparison.comparison import known
 from .least_squares import FittedModel, Search
-from .observations import Observations, RecordObservations, TableObservations
+from .observations import RecordObservations, TableObservations
 
 # Rounds of refined nodes and weights; a round is the last that moves no parameter by
 # more than a part of its uncertainty, or of itself, which no node would notice.
@@ -85,21 +86,24 @@ def fit(
     bsdf = parse_specimen(model) if isinstance(model, str) else dict(model)
     if not isinstance(bsdf, dict):
         raise SettingError(f"model must be a BSDF in one word, got {model!r}")
-    record = _as_told(
-        record,
-        uncertainty=uncertainty,
-        scale_uncertainty=scale_uncertainty,
-        aperture_half_angle=aperture_half_angle,
-    )
-    observations = _observations(record)
-    channels = record.channels if isinstance(record, Record) else ("Y",)
+    told = {
+        "uncertainty": uncertainty,
+        "scale_uncertainty": scale_uncertainty,
+        "aperture_half_angle": aperture_half_angle,
+    }
+    record = _as_told(record, {k: v for k, v in told.items() if v is not None})
+    if isinstance(record, MeasuredTable):
+        _check_table(record)
+        observations, channels = [TableObservations(record)], ("Y",)
+    else:
+        _check(record)
+        observations, channels = list(map(RecordObservations, record)), record.channels
     fitted = FittedModel(bsdf, free, channels)
     with bar(progress, desc=f"fit of {bsdf['type']}", unit="prediction") as report:
         search = Search(observations, fitted, report)
         values, covariance = _found(search)
     predicted = search.predicted(values)
     at_limit = search.at_limit(values)
-    names = tuple(parameter.name for parameter in fitted.parameters)
     chi2 = float(np.sum(search.residuals(predicted) ** 2))
     dof, scatter = predicted.size - len(values), None
     if not all(one.stated for one in observations):
@@ -109,22 +113,26 @@ def fit(
     return Fit(
         record,
         fitted.bsdf(values),
-        names,
+        fitted.names,
         values,
         covariance,
         chi2=chi2,
         dof=dof,
         misplaced=float(misplaced),
         predicted=predicted,
-        at_limit=tuple(name for name, at in zip(names, at_limit) if at),
+        at_limit=tuple(name for name, at in zip(fitted.names, at_limit) if at),
         scatter=scatter,
     )
 
 
 def _found(search: Search) -> tuple[Floats, Floats]:
     """Values of the parameters, and their covariance."""
-    values = search.begin()
-    _check_number(search.observations, search.model)
+    values, names = search.begin(), search.model.names
+    if search.values.size <= len(names):
+        raise SettingError(
+            f"a fit of {', '.join(names)} needs more than {len(names)} values, got "
+            f"{search.values.size}"
+        )
     for _ in range(MAX_ROUNDS):
         search.adapt(values)
         before, values = values, search.minimum(values)
@@ -140,39 +148,16 @@ def _found(search: Search) -> tuple[Floats, Floats]:
 
 
 def _as_told(
-    record: Record | MeasuredTable, **told: float | None
+    record: Record | MeasuredTable, told: dict[str, Any]
 ) -> Record | MeasuredTable:
     """Record without its copied directions, or table with what was told of it."""
-    given: dict[str, Any] = {
-        name: value for name, value in told.items() if value is not None
-    }
     if isinstance(record, Record):
-        for name in given:
+        for name in told:
             raise SettingError(f"{name} applies to tables only, got a record")
         return without_copies(record)
     if record.aperture_half_angle is not None:
-        given.pop("aperture_half_angle", None)
-    return replace(record, **given)
-
-
-def _observations(record: Record | MeasuredTable) -> list[Observations]:
-    """What a fit has to explain, once it is known that it can."""
-    if isinstance(record, MeasuredTable):
-        _check_table(record)
-        return [TableObservations(record)]
-    _check(record)
-    return list(map(RecordObservations, record))
-
-
-def _check_number(observations: Sequence[Observations], model: FittedModel) -> None:
-    """Raise ValueError unless there are more values than parameters."""
-    n_values = sum(one.values.size for one in observations)
-    names = [parameter.name for parameter in model.parameters]
-    if n_values <= len(names):
-        raise SettingError(
-            f"a fit of {', '.join(names)} needs more than {len(names)} values, got "
-            f"{n_values}"
-        )
+        told.pop("aperture_half_angle", None)
+    return replace(record, **told)
 
 
 def _check_table(table: MeasuredTable) -> None:
@@ -204,15 +189,11 @@ def _check(record: Record) -> None:
             f"the variant must be the record's, {record.provenance.variant}, got "
             f"{mi.variant()}"
         )
-    needs = {
-        "a collimated beam": np.isfinite(record.theta_i).all()
-        and not record.asked.divergence
-        and record.asked.incident is None,
-        "light in its patches": record.flux_fraction.any(),
-    }
-    for need, holds in needs.items():
-        if not holds:
-            raise SettingError(f"a fit needs a record of {need}")
+    filled = record.asked.divergence or record.asked.incident is not None
+    if filled or not np.isfinite(record.theta_i).all():
+        raise SettingError("a fit needs a record of a collimated beam")
+    if not record.flux_fraction.any():
+        raise SettingError("a fit needs a record of light in its patches")
     if np.isnan(record.brdf_std_err[record.brdf > 0]).any():
         raise SettingError("a fit needs a record with error bars, of several batches")
 
@@ -269,24 +250,6 @@ class Fit:
     scatter: float | None = None
 
     @property
-    def _residual(self) -> str:
-        """What is left between the values and the model."""
-        if self.scatter is not None:
-            return (
-                "the table states no uncertainty: +- is one standard error from how "
-                f"its points scatter about the model, by {100 * self.scatter:.3g} % "
-                "(rms)"
-            )
-        left = f"{100 * self.misplaced:.3g} % misplaced flux"
-        if isinstance(self.record, MeasuredTable):
-            left = f"points differ by {200 * self.misplaced:.3g} % of their mean"
-        return (
-            f"+- is one standard error; chi-square per degree of freedom "
-            f"{self.reduced_chi2:.3g} ({self.dof} degrees of freedom), "
-            f"{left}"
-        )
-
-    @property
     def std_errs(self) -> Floats:
         """Standard errors of `values`."""
         return np.sqrt(np.diag(self.covariance))
@@ -339,10 +302,10 @@ class Fit:
         return {
             "bsdf": self.bsdf,
             "parameters": {
-                name: {"value": value, "std_err": _known(std_err)}
+                name: {"value": value, "std_err": known(std_err)}
                 for name, value, std_err in parameters
             },
-            "covariance": [list(map(_known, row)) for row in self.covariance.tolist()],
+            "covariance": [list(map(known, row)) for row in self.covariance.tolist()],
             "chi2": self.chi2,
             "dof": self.dof,
             "misplaced": self.misplaced,
@@ -383,16 +346,25 @@ class Fit:
             line += f"  (correlation {', '.join(others)})" if others else ""
             line += "  (at its limit)" if name in self.at_limit else ""
             lines.append(line)
-        lines.append(f"  {self._residual}")
-        if self.scatter is None and self.reduced_chi2 > MAX_REDUCED_CHI2:
+        if self.scatter is not None:
+            lines.append(
+                "  the table states no uncertainty: +- is one standard error from how "
+                f"its points scatter about the model, by {100 * self.scatter:.3g} % "
+                "(rms)"
+            )
+            if self.scatter > MAX_SCATTER:
+                lines.append("  the model does not follow the table: +- says little")
+            return "\n".join(lines)
+        left = f"{100 * self.misplaced:.3g} % misplaced flux"
+        if isinstance(self.record, MeasuredTable):
+            left = f"points differ by {200 * self.misplaced:.3g} % of their mean"
+        lines.append(
+            f"  +- is one standard error; chi-square per degree of freedom "
+            f"{self.reduced_chi2:.3g} ({self.dof} degrees of freedom), {left}"
+        )
+        if self.reduced_chi2 > MAX_REDUCED_CHI2:
             lines.append(
                 "  the model does not follow the record within its noise, which is all "
                 "that +- stands for"
             )
-        if self.scatter is not None and self.scatter > MAX_SCATTER:
-            lines.append("  the model does not follow the table: +- says little")
         return "\n".join(lines)
-
-
-def _known(value: float) -> float | None:
-    return value if np.isfinite(value) else None

@@ -125,10 +125,9 @@ class Search:
         free = ~self.at_limit(values) & (size * (high - low) > MIN_EFFECT)
         jacobian = jacobian[:, free]
         if free.any() and np.linalg.cond(jacobian / size[free]) > MAX_CONDITION:
-            names = ", ".join(parameter.name for parameter in self.model.parameters)
             raise SpecimenError(
-                f"the record does not determine {names} together: give some of them, "
-                "as in roughconductor:alpha=0.2"
+                f"the record does not determine {', '.join(self.model.names)} "
+                "together: give some of them, as in roughconductor:alpha=0.2"
             )
         estimate = np.linalg.pinv(jacobian) / self.scales
         total = np.full((len(values), len(values)), np.nan)
@@ -320,23 +319,22 @@ class FittedModel:
         return self.fixed | single | colours
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(parameter.name for parameter in self.parameters)
+
+    @property
     def limits(self) -> tuple[Floats, Floats]:
         """The lower and the upper limits of the parameters."""
-        low, high = np.array([(p.low, p.high) for p in self.parameters]).T
-        return low, high
+        return tuple(np.array([(p.low, p.high) for p in self.parameters]).T)
 
     def starts(self) -> list[Floats]:
         """Values from which to begin: all of a roughness, the first of others."""
         first = np.array([p.starts[0] for p in self.parameters])
+        rough = [bool(re.match("alpha|roughness", p.name)) for p in self.parameters]
         most = max(len(p.starts) for p in self.parameters)
-        found = []
-        for i in range(most):
-            start = first.copy()
-            for j, p in enumerate(self.parameters):
-                if re.match("alpha|roughness", p.name):
-                    start[j] = p.starts[i]
-            found.append(start)
-        return found
+        starts = [(p.starts * most)[:most] for p in self.parameters]
+        return [np.where(rough, start, first) for start in np.transpose(starts)]
 
 
 class LoadedModel:

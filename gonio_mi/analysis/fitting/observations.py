@@ -176,13 +176,8 @@ def _means(
         number = patches.patch(direction(np.radians(theta), np.radians(phi)))
         means_of = number + lower * patches.n_patches
         return PatchPredictions(*light, patches, 1 + lower, means_of)
-    return ConePredictions(
-        *light,
-        np.stack([theta, phi], axis=-1),
-        lower=lower,
-        half_angle=table.aperture_half_angle or 0.0,
-        means=True,
-    )
+    axes, half_angle = np.stack([theta, phi], axis=-1), table.aperture_half_angle or 0.0
+    return ConePredictions(*light, axes, lower, half_angle, means=True)
 
 
 def _predictions(single: Record) -> list[PatchPredictions] | list[ConePredictions]:
@@ -190,23 +185,13 @@ def _predictions(single: Record) -> list[PatchPredictions] | list[ConePrediction
     patches = single.subdivision
     half_angle = patches.aperture_half_angle
     incident = float(single.theta_i[0]), float(single.phi_i[0])
-    side = single.asked.side
-    hemispheres = single.n_hemispheres
+    light = incident, single.asked.side, single.channels
     if half_angle is None:
-        given = incident, side, single.channels
-        return [PatchPredictions(*given, patches, hemispheres)]
+        return [PatchPredictions(*light, patches, single.n_hemispheres)]
     axes = np.degrees(np.concatenate(patches.middles, axis=1))[: patches.n_detectors]
     return [
-        ConePredictions(
-            incident,
-            side,
-            single.channels,
-            axes,
-            lower=lower,
-            half_angle=half_angle,
-            means=False,
-        )
-        for lower in (False, True)[:hemispheres]
+        ConePredictions(*light, axes, lower, half_angle, means=False)
+        for lower in (False, True)[: single.n_hemispheres]
     ]
 
 

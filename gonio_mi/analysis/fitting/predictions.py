@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -25,6 +26,7 @@ from ...transport.wavelengths import passes, wavelength_lanes
 INTEGRAL_ERR = 1e-4
 
 
+@dataclass(eq=False)
 class Predictions:
     """Predictions for one incident direction of a measurement.
 
@@ -39,11 +41,12 @@ class Predictions:
     channels : sequence of str
     """
 
-    def __init__(
-        self, incident: tuple[float, float], side: str, channels: Sequence[str]
-    ) -> None:
-        self.incident, self.side, self.channels = incident, side, len(channels)
-        nm = wavelengths_nm(channels)
+    incident: tuple[float, float]
+    side: str
+    channels: Sequence[str]
+
+    def __post_init__(self) -> None:
+        nm = wavelengths_nm(self.channels)
         self.passes = passes([] if nm is None else nm.tolist())
         self._nodes: list[Nodes] = []
 
@@ -63,10 +66,9 @@ class Predictions:
 
     def _measured_channels(self, values: Floats) -> Floats:
         """Values ``(..., n)`` of the channels that were measured, in one row."""
-        own = values[..., : self.channels]
-        if self.channels == 1 and not np.allclose(
-            values, own, rtol=INTEGRAL_ERR, atol=0
-        ):
+        n = len(self.channels)
+        own = values[..., :n]
+        if n == 1 and not np.allclose(values, own, rtol=INTEGRAL_ERR, atol=0):
             raise SettingError(
                 "the record has one channel, as of a grey specimen, and the model is "
                 "coloured: fit it to a record of R, G and B, or say a grey model"
@@ -87,6 +89,7 @@ class Predictions:
         return si
 
 
+@dataclass(eq=False)
 class PatchPredictions(Predictions):
     """Flux fractions of the patches of one incident direction.
 
@@ -94,7 +97,7 @@ class PatchPredictions(Predictions):
     ----------
     incident, side, channels
         As of :class:`Predictions`.
-    patches : Subdivision
+    subdivision : Subdivision
     hemispheres : {1, 2}
         Reflection alone, or transmission too.
     means_of : ndarray of int, optional
@@ -102,19 +105,13 @@ class PatchPredictions(Predictions):
         lower hemisphere.
     """
 
-    def __init__(
-        self,
-        incident: tuple[float, float],
-        side: str,
-        channels: Sequence[str],
-        patches: Subdivision,
-        hemispheres: int,
-        means_of: Integers | None = None,
-    ) -> None:
-        super().__init__(incident, side, channels)
-        self.subdivision = patches
-        self.n_patches = hemispheres * patches.n_patches
-        self._means_of = means_of
+    subdivision: Subdivision
+    hemispheres: int
+    means_of: Integers | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.n_patches = self.hemispheres * self.subdivision.n_patches
 
     def begin(self) -> None:
         """Take the same few nodes in each patch, which will do for a first search."""
@@ -130,10 +127,10 @@ class PatchPredictions(Predictions):
     def _measured_channels(self, values: Floats) -> Floats:
         """See :class:`Predictions`; means have one channel."""
         flux = super()._measured_channels(values)
-        if self._means_of is None:
+        if self.means_of is None:
             return flux
         solid = self.subdivision.projected_solid_angles.ravel()
-        return flux[self._means_of] / solid[self._means_of % len(solid)]
+        return flux[self.means_of] / solid[self.means_of % len(solid)]
 
     def adapt(self, bsdf: mi.BSDF) -> Floats:
         """:meth:`of` a BSDF, with the nodes that it needs from now on."""
@@ -207,6 +204,7 @@ class Nodes:
 MIN_NODES, MAX_NODES = 2, 16
 
 
+@dataclass(eq=False)
 class ConePredictions(Predictions):
     """Values of cones for one incident direction of a table, or of apertures.
 
@@ -225,20 +223,10 @@ class ConePredictions(Predictions):
         flux fractions. What would lie below the horizon is left out.
     """
 
-    def __init__(
-        self,
-        incident: tuple[float, float],
-        side: str,
-        channels: Sequence[str],
-        axes: Floats,
-        *,
-        lower: bool,
-        half_angle: float,
-        means: bool,
-    ) -> None:
-        super().__init__(incident, side, channels)
-        self.axes, self.lower, self.means = np.radians(axes), lower, means
-        self.half_angle = np.radians(half_angle)
+    axes: Floats
+    lower: bool
+    half_angle: float
+    means: bool
 
     def begin(self) -> None:
         """Take a few nodes in each cone."""
@@ -274,14 +262,14 @@ class ConePredictions(Predictions):
 
     def _about(self, n: int) -> tuple[Floats, Floats]:
         """Directions about each axis, shape (n_axes, m, 3), and weights in sr."""
-        theta, phi = self.axes.T
+        theta, phi = np.radians(self.axes).T
         axis = direction(theta, phi)
         if not self.half_angle:
             return axis[:, None], np.ones((len(axis), 1))
         down = direction(theta + np.pi / 2, phi)
         across = np.cross(axis, down)
         x, w = np.polynomial.legendre.leggauss(n)
-        low = np.cos(self.half_angle)
+        low = np.cos(np.radians(self.half_angle))
         cosine = np.repeat(low + (1 - low) * (x + 1) / 2, 4 * n)
         weight = np.repeat(w * (1 - low) / 2, 4 * n) * (2 * np.pi / (4 * n))
         turn = np.tile((np.arange(4 * n) + 0.5) * (2 * np.pi / (4 * n)), n)
