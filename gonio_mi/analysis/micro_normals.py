@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
@@ -11,7 +12,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..array_types import Floats, Integers, Numbers
+from ..array_types import Floats, Integers
 from ..collector.directions import direction
 from ..errors import SpecimenError, checked_count, checked_number
 from ..instrument.loading import load_specimen
@@ -96,22 +97,22 @@ def found_facets(specimen: Specimen, points: int, blocks: int, seed: int) -> Fac
 def _points(
     shape: mi.Shape, n: int, generator: np.random.Generator
 ) -> tuple[Floats, Floats]:
-    """Uniform points of a shape and their normals."""
-    # a rectangle is a mesh, and shows no triangles
-    triangles = triangles_of(mi.traverse(shape)) if shape.is_mesh() else None
-    if triangles is None:
-        return _shape_points(shape, n, generator)
-    return _mesh_points(*triangles, n, generator)
-
-
-def _mesh_points(
-    vertices: Numbers, faces: Numbers, n: int, generator: np.random.Generator
-) -> tuple[Floats, Floats]:
-    """Uniform points of a mesh and their normals, in double precision.
+    """Uniform points of a shape and their normals; of a mesh in double precision.
 
     What Mitsuba draws of a mesh of many triangles lies beside them: one number in
     single precision chooses the triangle and the place in it.
     """
+    # a rectangle is a mesh, and shows no triangles
+    triangles = triangles_of(mi.traverse(shape)) if shape.is_mesh() else None
+    if triangles is None:
+        found = shape.sample_position(0.0, mi.Point2f(generator.random((2, n))))
+        # of a flat one there is one normal for all
+        p, normal = (
+            np.broadcast_to(np.array(v, dtype=float).T, (n, 3))
+            for v in (found.p, found.n)
+        )
+        return p, normal
+    vertices, faces = triangles
     a, b, c = (vertices[faces[:, i]].astype(float) for i in range(3))
     normal = np.cross(b - a, c - a)
     size = np.cumsum(np.linalg.norm(normal, axis=1))
@@ -123,18 +124,6 @@ def _mesh_points(
     a, b, c, normal = (one[chosen] for one in (a, b, c, normal))
     unit = normal / np.linalg.norm(normal, axis=1, keepdims=True)
     return shares[0] * a + shares[1] * b + shares[2] * c, unit
-
-
-def _shape_points(
-    shape: mi.Shape, n: int, generator: np.random.Generator
-) -> tuple[Floats, Floats]:
-    """Uniform points of a shape and their normals."""
-    found = shape.sample_position(0.0, mi.Point2f(generator.random((2, n))))
-    # of a flat one there is one normal for all
-    p, normal = (
-        np.broadcast_to(np.array(v, dtype=float).T, (n, 3)) for v in (found.p, found.n)
-    )
-    return p, normal
 
 
 def _found(specimen: Specimen, p: Floats, n: Floats) -> mi.SurfaceInteraction3f:
@@ -248,15 +237,9 @@ class MicroNormals:
         left.legend(frameon=False)
         for number, phi in enumerate(np.unique(self.phi)):
             own = self.phi == phi
-            colour = f"C{number}"
-            right.errorbar(
-                self.theta[own],
-                self.masking[own],
-                self.masking_std_err[own],
-                fmt="o",
-                c=colour,
-                label=f"φ = {phi:g}°, facets +- std_err",
-            )
+            colour, label = f"C{number}", f"φ = {phi:g}°, facets +- std_err"
+            bars = self.theta[own], self.masking[own], self.masking_std_err[own]
+            right.errorbar(*bars, fmt="o", c=colour, label=label)
             for name, style in LINE_STYLES.items():
                 curve = self.model_masking(name)[own]
                 right.plot(self.theta[own], curve, style, c=colour, lw=1)
@@ -357,7 +340,11 @@ def micro_normals(
     points = checked_count("points", points, 1000, 2**26)
     blocks = checked_count("blocks", blocks, 2, 64)
     seed = checked_count("seed", seed, 0)
-    angles = [(_checked_theta(t), _checked_phi(p)) for t in theta for p in phi]
+    limits = (0, 90, "an angle in degrees in [0, 90)")
+    thetas = [checked_number("theta", one, *limits) for one in theta]
+    limits = (-1e6, 1e6, "an angle in degrees")
+    phis = [checked_number("phi", one, *limits) for one in phi]
+    angles = list(itertools.product(thetas, phis))
     scene = load_specimen(specimen, parameters, period)
     measured = Specimen(scene, checked_period("period", period))
     extent = (measured.high - measured.low)[:2]
@@ -373,37 +360,18 @@ def micro_normals(
     upper = facets.n[:, 2] > 0
     slope_u, slope_v = -facets.n[upper, :2].T / facets.n[upper, 2]
     projected = (facets.area * facets.n[:, 2])[upper]
-    alphas, alpha_errors = {}, {}
+    of_facets = slope_u, slope_v, projected, facets.block[upper]
+    alphas, alpha_errors, elsewhere = {}, {}, {}
+    ring = np.diff(np.sin(np.radians(edges)) ** 2) * np.pi
     for name in DISTRIBUTIONS:
-        alphas[name], alpha_errors[name] = _jackknife(
-            name, slope_u, slope_v, projected, facets.block[upper], blocks**2
-        )
+        alphas[name], alpha_errors[name] = _jackknife(name, *of_facets, blocks**2)
+        off = found * ring - ring_shares(name, edges, *alphas[name])
+        elsewhere[name] = float(np.abs(off).sum() / 2)
     seen = [_visible(measured, facets, *angle, blocks**2) for angle in angles]
     columns = np.array(seen).reshape(len(angles), 4).T
-    ring = np.diff(np.sin(np.radians(edges)) ** 2) * np.pi
-    return MicroNormals(
-        edges,
-        found,
-        error,
-        alphas,
-        alpha_errors,
-        {
-            name: float(
-                np.abs(found * ring - ring_shares(name, edges, *alphas[name])).sum() / 2
-            )
-            for name in DISTRIBUTIONS
-        },
-        *np.array(angles, dtype=float).reshape(-1, 2).T,
-        *columns,
-    )
-
-
-def _checked_theta(value: float) -> float:
-    return checked_number("theta", value, 0, 90, "an angle in degrees in [0, 90)")
-
-
-def _checked_phi(value: float) -> float:
-    return checked_number("phi", value, -1e6, 1e6, "an angle in degrees")
+    towards = np.array(angles, dtype=float).reshape(-1, 2).T
+    distributions = alphas, alpha_errors, elsewhere
+    return MicroNormals(edges, found, error, *distributions, *towards, *columns)
 
 
 def _density(

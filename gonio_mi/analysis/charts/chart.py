@@ -14,7 +14,6 @@ from tqdm import tqdm
 
 from ...array_types import Floats
 from ...campaigns.measure import measure_whole
-from ...collector.hemisphere import Subdivision
 from ...errors import (
     SettingError,
     SpecimenError,
@@ -138,14 +137,17 @@ def chart(
         if not methods:
             raise SpecimenError(reference.refused or NEEDS_GEOMETRY)
         curves = _curves(runs, clock, reference, methods)
+    patches = pilot.subdivision
+    p = reference.values * patches.projected_solid_angles[..., None]
+    square, _ = rms_expectation(patches, np.moveaxis(p, -1, 0), 1)
     result = Chart(
         specimen=specimen_name(specimen, parameters),
         theta_i=float(pilot.theta_i[0]),
         phi_i=float(pilot.phi_i[0]),
-        collector=str(pilot.subdivision),
+        collector=str(patches),
         curves=curves,
         reference=reference,
-        independent=_independent(pilot.subdivision, reference),
+        independent=float(np.sqrt(square) / reference.mean),
         settings={
             "side": pilot.asked.side,
             "transport": pilot.provenance.transport,
@@ -205,7 +207,7 @@ def _curves(
     spent = [[0.0] for _ in methods]  # seconds of each point
     for method in methods:
         clock.show("compiling")
-        runs.warm_up(method)
+        runs.measure(0, **method.settings, **method.effort(0))
     growing = list(range(len(methods)))
     while growing:
         for m in growing:
@@ -228,13 +230,6 @@ def _curves(
 def _next(spent: Sequence[float]) -> float:
     """Seconds of the next point: a fixed part, and one that grows with the rays."""
     return spent[-1] + GROWTH * max(spent[-1] - spent[-2], 0)
-
-
-def _independent(patches: Subdivision, reference: Reference) -> float:
-    """Expected relative error of one counted independent ray."""
-    p = reference.values * patches.projected_solid_angles[..., None]
-    square, _ = rms_expectation(patches, np.moveaxis(p, -1, 0), 1)
-    return float(np.sqrt(square) / reference.mean)
 
 
 def _warn_of_reference(result: Chart) -> None:
@@ -261,8 +256,8 @@ class Method:
     @property
     def settings(self) -> dict[str, str]:
         """Arguments of :func:`gonio_mi.measure`."""
-        settings = {"estimator": self.estimator, "sampler": self.sampler}
-        return {name: word for name, word in settings.items() if word}
+        own = {"sampler": self.sampler} if self.sampler else {}
+        return {"estimator": self.estimator} | own
 
     def effort(self, level: int) -> Any:
         """Rays, or tolerance, of the `level`-th point; None after the last."""
@@ -286,10 +281,6 @@ class Runs:
         return measure_whole(
             self.scene, seed=self.seed + seed, **{**self.settings, **settings}
         )
-
-    def warm_up(self, method: Method) -> None:
-        """Run a method once, so that its kernels are there."""
-        self.measure(0, **method.settings, **method.effort(0))
 
     def point(self, method: Method, level: int, reference: Reference) -> Point:
         """:class:`.curves.Point` of a method at its `level`-th effort."""
