@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import operator
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import drjit as dr
@@ -21,7 +21,6 @@ from gonio_mi.materials.interpolation.interpolated_bsdf import (
 )
 from gonio_mi.materials.interpolation.lobes import MeasuredLobes
 from gonio_mi.plugins import bsdf_functions
-from gonio_mi.results.patch_means import PatchMeans
 from gonio_mi.results.record import XYZ, Record, wavelengths_nm
 
 # Signs of z on the front and the back.
@@ -122,8 +121,11 @@ class Goniometric(mi.BSDF):
                 f"llvm_ad_rgb, got {mi.variant()}"
             )
         front = _face("goniometric.filename", self.files[0], "front")
-        if self.files[1] is None and _has_back(_resolved(self.files[0])):
-            self.files[1] = self.files[0]
+        path = _resolved(self.files[0])
+        is_record = path.lower().endswith(files.ENDINGS)
+        # no record holds light of the back by itself
+        if self.files[1] is None and not is_record:
+            self.files[1] = self.files[0] if ask("exchange", "has_back")(path) else None
         back = None
         if self.files[1] is not None:
             back = _face("goniometric.back_filename", self.files[1], "back")
@@ -302,12 +304,6 @@ def _face(label: str, name: str, side: str) -> InterpolatedBSDF:
         raise type(error)(f"{label}: {error}") from None
 
 
-def _has_back(path: str) -> bool:
-    """Whether a file holds light of the back by itself; no record does."""
-    is_record = path.lower().endswith(files.ENDINGS)
-    return not is_record and ask("exchange", "has_back")(path)
-
-
 def _lobes(path: str, side: str) -> tuple[MeasuredLobes, Floats | None]:
     """Lobes of a file, and the wavelengths of their channels.
 
@@ -323,25 +319,21 @@ def _lobes(path: str, side: str) -> tuple[MeasuredLobes, Floats | None]:
             f"{path} was measured from the back, and is the front of this "
             "material: name it as back_filename if that is meant",
         )
-    notes: tuple[str, ...] = getattr(material, "notes", ())
-    for note in notes:
+    for note in getattr(material, "notes", ()):
         _warn_once(f"{path}: {note}")
-    lobes = MeasuredLobes(material, _mixture(material))
-    return lobes, wavelengths_nm(material.channels)
+    nm = wavelengths_nm(material.channels)
+    return MeasuredLobes(material, _mixture(material.channels, nm is not None)), nm
 
 
-def _mixture(material: Record | PatchMeans) -> Floats | None:
+def _mixture(channels: Sequence[str], spectral: bool) -> Floats | None:
     """Weights that make one channel of three where the variant has one, or None."""
-    channels = material.channels
     said = abridged(", ".join(channels), 80)
-    if len(channels) == 1:
-        return None
-    if wavelengths_nm(channels) is not None:
-        if not mi.is_spectral:
-            raise SettingError(
-                f"a record of {said} must be used in a spectral variant, got "
-                f"{mi.variant()}: take llvm_ad_spectral"
-            )
+    if spectral and len(channels) > 1 and not mi.is_spectral:
+        raise SettingError(
+            f"a record of {said} must be used in a spectral variant, got "
+            f"{mi.variant()}: take llvm_ad_spectral"
+        )
+    if spectral or len(channels) == 1:
         return None
     if channels != ("R", "G", "B"):
         raise SettingError(

@@ -113,10 +113,14 @@ class MeasuredDirections:
         if "estimator" in given and estimator is not Estimator.AUTO:
             self.estimators = [estimator]
         self.chosen: Subdivision | None = None  # where no collector was asked for
+        self.n_kept, self.announced = 0, False
+        self._forget()
+
+    def _forget(self) -> None:
+        """Begin without any direction."""
         self.records: dict[tuple[float, float], Record] = {}
-        self.rays = self.n_rounds = self.n_timed = self.n_kept = 0
-        self.seconds, self.announced = 0.0, False
-        self.flux = np.zeros(2)
+        self.rays = self.n_rounds = self.n_timed = 0
+        self.seconds, self.flux = 0.0, np.zeros(2)
 
     def start_anew(self, patches: Subdivision | None = None) -> None:
         """Forget all directions; take the next estimator, or `patches` if given."""
@@ -125,10 +129,7 @@ class MeasuredDirections:
         else:
             self.chosen = patches
             self.settings = self.settings | {"collector": patches}
-        self.records.clear()
-        self.flux[:] = 0
-        self.rays = self.n_rounds = self.n_timed = 0
-        self.seconds = 0.0
+        self._forget()
 
     def measure(
         self,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -42,8 +42,7 @@ class Interval:
 
     def parts(self, middle: float) -> tuple[Interval, Interval]:
         """Both parts beside a middle."""
-        low, high = Interval(self.low, middle, self.on), self.high
-        return low, Interval(middle, high, self.on)
+        return replace(self, high=middle), replace(self, low=middle)
 
 
 @dataclass
@@ -211,13 +210,11 @@ class IncidentRings:
             of_gaps = max((self.gaps.errors[gap] or 0.0 for gap in gaps), default=0.0)
             by_angle = (self.segments.errors[segment] or 0.0) >= of_gaps
             for split_segment in (by_angle, not by_angle):
-                middles: list[float | None]
-                if split_segment:
-                    middles = [self._split_segment(segment, one.error)]
-                else:
-                    middles = [self.gaps.split(gap, one.error) for gap in gaps]
-                if any(middle is not None for middle in middles):
-                    done |= {segment} if split_segment else set(gaps)
+                split = self._split_segment if split_segment else self.gaps.split
+                here = [segment] if split_segment else gaps
+                # all of them, also after the first that can be
+                if {split(each, one.error) for each in here} - {None}:
+                    done |= set(here)
                     break
         return before != (len(self.segments.errors), len(self.gaps.errors))
 

@@ -281,12 +281,17 @@ def resampled(
     n_in = theta_i.shape[1]
     projected = patches.projected_solid_angles.reshape(-1, 1)
     wo = patches.points(points)
+    exits = wo.reshape(-1, 3) * [1, 1, -1 if hemisphere else 1]
     fluxes = []
     n_chunks = -(-theta_i.size * wo[..., 0].size // VALUES_AT_ONCE)
     chunks = list(zip(*(np.array_split(a, n_chunks) for a in (theta_i, phi_i))))
     for chunk in counted(chunks, progress, desc="resample", unit="part"):
         theta, phi = (angles.ravel() for angles in chunk)
-        flux = projected * _evaluated(material, hemisphere, theta, phi, wo)
+        # values at all points of exit for each of the incident directions
+        each = (np.repeat(angles, len(exits)) for angles in (theta, phi))
+        values = material.values(*each, np.tile(exits, (len(theta), 1)))
+        shape = len(theta), *wo.shape[:2], values.shape[-1]
+        flux = projected * values.reshape(shape).mean(axis=2)
         total, peak = material.totals(hemisphere, theta, phi)
         found = flux.sum(axis=1)
         missed = np.any(np.abs(found - total) > MAX_MISSED * total + ROUNDING, axis=-1)
@@ -303,21 +308,6 @@ def resampled(
         flux[np.arange(len(theta)), straight] += peak
         fluxes.append(flux.reshape(-1, n_in, *flux.shape[1:]).mean(axis=1))
     return np.concatenate(fluxes)
-
-
-def _evaluated(
-    material: Material, hemisphere: int, theta_i: Floats, phi_i: Floats, wo: Floats
-) -> Floats:
-    """Means over points of exit in 1/sr, ``(n_in, n_out, channels)``.
-
-    `theta_i` and `phi_i` have the shape ``(n_in,)``, `wo` ``(n_out, points, 3)`` with
-    z > 0.
-    """
-    n_out, n_points, _ = wo.shape
-    wo = wo.reshape(-1, 3) * [1, 1, -1 if hemisphere else 1]
-    theta, phi = (np.repeat(angles, len(wo)) for angles in (theta_i, phi_i))
-    values = material.values(theta, phi, np.tile(wo, (len(theta_i), 1)))
-    return values.reshape(-1, n_out, n_points, values.shape[-1]).mean(axis=2)
 
 
 def half_vector_grids(

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import logging
 import shutil
 import tempfile
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -28,7 +30,7 @@ from .measured_directions import (
     MeasuredDirections,
     may_exceed,
 )
-from .refinement import IncidentRings, Interval, refined
+from .refinement import Axis, IncidentRings, Interval, refined
 from .resolution import TooCoarseError, check_peaks, check_resolved, checked_sectors
 from .symmetry_recognition import SymmetryRecognition
 
@@ -59,20 +61,6 @@ CLOSEST = "its directions are as close to each other as they may be: "
 TOLERANT = "a larger tolerance helps, another collector does not"
 MORE_SECTORS = "a collector of more sectors, or a larger tolerance, helps"
 LOOKED = f"it was refined for them {MAX_LOOKS - 1} times: a larger tolerance helps"
-
-
-def checked_tolerance(value: Any) -> float:
-    """Tolerance of a whole BSDF, or a ValueError that says what it must be."""
-    condition = (
-        f"a number from {MIN_TOLERANCE:g}, below which single precision shows, "
-        "to below 0.5"
-    )
-    return checked_number("tolerance", value, MIN_TOLERANCE, 0.5, condition)
-
-
-def checked_theta_max(value: Any) -> float:
-    """Largest angle of incidence, or a ValueError that says what it must be."""
-    return checked_number("theta_max", value, 10, 89.5, "degrees from 10 to below 89.5")
 
 
 class WholeBsdf:
@@ -159,23 +147,21 @@ class WholeBsdf:
         # errors along both axes add up by their squares, about
         self.limit = self.tolerance * (1.0 if self.isotropic else 0.5**0.5)
         self._check()
-        try:
-            refined(
-                self.rings.segments, self.limit, self._errors_of_segments, self._check
-            )
-        except TooLargeError as error:
-            logger.info("%s: no more angles: %s", self.name, error)
+        self._refine_axis(self.rings.segments, self.limit)
         if not self.isotropic:
             self.rings.begin_gaps()
-            self._refine_gaps(self.limit)
+            self._refine_axis(self.rings.gaps, self.limit)
 
-    def _refine_gaps(self, limit: float) -> None:
-        """Refine azimuths, as far as middles of the gaps between them tell."""
+    def _refine_axis(self, axis: Axis, limit: float) -> None:
+        """Refine polar angles or azimuths, as far as middles of intervals tell."""
+        errors_at, of = self._errors_of_gaps, "azimuths"
+        if axis is self.rings.segments:
+            errors_at, of = self._errors_of_segments, "angles"
         try:
             self._check()
-            refined(self.rings.gaps, limit, self._errors_of_gaps, self._check)
+            refined(axis, limit, errors_at, self._check)
         except TooLargeError as error:
-            logger.info("%s: no more azimuths: %s", self.name, error)
+            logger.info("%s: no more %s: %s", self.name, of, error)
 
     def _check(self) -> None:
         """Raise TooLargeError if the material's table would not fit into memory."""
@@ -192,20 +178,18 @@ class WholeBsdf:
     ) -> list[float]:
         """Errors in the middles of segments: the largest of all first azimuths."""
         self.directions.announce(self.rings.expected(self.limit) + N_UNSEEN)
-        lines = self.rings.first_azimuths
+        first = self.rings.first_azimuths
         levels = self.rings.segments.levels()
         purpose = f"{len(segments)} of {len(levels) - 1} segments open"
-        needed = [(theta, phi) for theta in [*levels, *middles] for phi in lines]
-        needed = [(theta, phi if theta else 0.0) for theta, phi in needed]
-        self.directions.measure(needed, purpose)
-        worst = np.zeros(len(segments))
-        for phi in lines:
-            ends = [(theta, phi if theta else 0.0) for theta in levels]
-            prediction = self.directions.prediction(ends)
-            for number, middle in enumerate(middles):
-                error = self.directions.expected_error(prediction, middle, phi)
-                worst[number] = max(worst[number], error)
-        return worst.tolist()
+        lines = [[(theta, phi if theta else 0.0) for theta in levels] for phi in first]
+        new = [(theta, phi) for theta in middles for phi in first]
+        self.directions.measure([*itertools.chain(*lines), *new], purpose)
+        errors = []
+        for phi, line in zip(first, lines):
+            prediction = self.directions.prediction(line)
+            expected = partial(self.directions.expected_error, prediction, phi=phi)
+            errors.append(list(map(expected, middles)))
+        return np.max(errors, axis=0, initial=0.0).tolist()
 
     def _errors_of_gaps(
         self, gaps: Sequence[Interval], middles: Sequence[float]
@@ -273,7 +257,7 @@ class WholeBsdf:
                 break
             if len(missed) > MAX_LOCAL_MISSES and not self.isotropic:
                 # errors of both axes add up in between, and azimuths are the cheaper
-                self._refine_gaps(self.limit / 2)
+                self._refine_axis(self.rings.gaps, self.limit / 2)
         return errors
 
     def _is_refuted_at(self, theta: float, phi: float) -> bool:
@@ -343,7 +327,13 @@ def chosen_directions(
 
     They are kept in a temporary folder if there is no other, which stays after Ctrl-C.
     """
-    tolerance, theta_max = checked_tolerance(tolerance), checked_theta_max(theta_max)
+    condition = (
+        f"a number from {MIN_TOLERANCE:g}, below which single precision shows, "
+        "to below 0.5"
+    )
+    tolerance = checked_number("tolerance", tolerance, MIN_TOLERANCE, 0.5, condition)
+    condition = "degrees from 10 to below 89.5"
+    theta_max = checked_number("theta_max", theta_max, 10, 89.5, condition)
     temporary = where.folder is None
     if temporary:
         where = replace(where, folder=tempfile.mkdtemp(prefix="gonio_mi_"))

@@ -95,45 +95,39 @@ class AzimuthCrossValidation:
             for angle, theta, of in (trials[n] for n in (chosen if trials else []))
         ]
 
-    def reflects(self, flux: Floats) -> bool:
-        """Whether micro-normals predict reflected lobes better.
-
-        `flux` has the shape ``(n, n_theta, n_phi, channels)``, as that of the stack.
-        """
-        return bool(self.trials) and self._are_better(flux, None)
-
     def index_of_refraction(self, flux: Floats) -> float | None:
         """That by which micro-normals predict transmitted lobes better, or None.
 
         Near what Snell's law gives for the mean of all flux, relative to the side of
         incidence: that which predicts a record best.
         """
-        if not self.trials:
-            return None
         azimuth, angle = np.nonzero(self.index >= 0)
         known = flux[self.index[azimuth, angle]].sum(axis=-1)
         incidents = self.theta_i[angle], self.phi_i[azimuth]
         tried = tried_indices(known, *incidents, self.patches)
-        if not tried:
+        if not (tried and self.trials):
             return None
         middle = self.trials[len(self.trials) // 2]
         eta = min(tried, key=lambda one: self._errors(flux, one, middle)[1])
-        return eta if self._are_better(flux, eta) else None
+        return eta if self.are_better(flux, eta) else None
 
-    def _are_better(self, flux: Floats, eta: float | None) -> bool:
-        wrong = np.sum([self._errors(flux, eta, one) for one in self.trials], axis=0)
-        return bool(wrong[1] < wrong[0])
+    def are_better(self, flux: Floats, eta: float | None = None) -> bool:
+        """Whether micro-normals predict lobes better, of transmission with an `eta`.
+
+        `flux` has the shape ``(n, n_theta, n_phi, channels)``, as that of the stack.
+        """
+        wrong = [self._errors(flux, eta, one) for one in self.trials]
+        turned, moved = np.sum(wrong, axis=0) if wrong else (0.0, 0.0)
+        return bool(moved < turned)
 
     def _errors(self, flux: Floats, eta: float | None, trial: _Trial) -> Floats:
         """Sums of absolute errors of the flux: if lobes turn, and if normals stay."""
         low, known, high = flux[trial.numbers].mean(axis=-1, keepdims=True)
         theta_i, (first, own, other) = trial.theta_i, trial.phi_i.tolist()
         past, left = azimuth_gaps(trial.phi_i)
-        of_low = np.stack(
-            predicted_lobes(low, self.patches, theta_i, (first, own), eta)
-        )
-        of_high = np.stack(
-            predicted_lobes(high, self.patches, theta_i, (other, own), eta)
+        of_low, of_high = (
+            np.stack(predicted_lobes(lobe, self.patches, theta_i, (phi, own), eta))
+            for lobe, phi in ((low, first), (high, other))
         )
         mixed = (left * of_low + past * of_high) / (past + left)
         errors: Floats = np.abs(mixed - known).sum(axis=(1, 2, 3))
@@ -235,7 +229,7 @@ class IncidentGrid:
         lower = flux.shape[1] > 1
         return replace(
             found,
-            reflects=trials.reflects(flux[:, 0]),
+            reflects=trials.are_better(flux[:, 0]),
             eta=trials.index_of_refraction(flux[:, 1]) if lower else None,
             symmetry=symmetry_of(record) if isinstance(record, Record) else None,
         )

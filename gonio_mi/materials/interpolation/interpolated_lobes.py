@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from .half_vectors import is_redirected, redirected
-from .lobes import LobeTable, mean_lobes
+from .lobes import Drawing, LobeTable, mean_lobes
 from .lookups import (
     DiskPoint,
     IncidentPlaces,
@@ -243,10 +243,7 @@ class LobeArrays:
         if self.n_channels > 1:
             self.means = doubles(mean_lobes(table.brdf))
             self.mean_gradients = [doubles(mean_lobes(g)) for g in table.gradients]
-        drawing = table.drawing
-        self.tilts = doubles(drawing.tilts)
-        self.sector_tilts = doubles(drawing.sector_tilts)
-        self.rings, self.sectors = doubles(drawing.rings), doubles(drawing.sectors)
+        self.drawing = Drawing(*map(doubles, table.drawing))
 
     def values(
         self, row: mi.UInt32, phi_i: mi.Float64, point: DiskPoint, active: mi.Bool
@@ -288,19 +285,18 @@ class LobeArrays:
         self, row: mi.UInt32, phi_i: mi.Float64, sample2: mi.Point2f
     ) -> DiskPoint:
         """Point of a lobe."""
+        rings, sectors, tilts, sector_tilts = self.drawing
         ring, fraction = quantile(
-            lambda i: read(self.rings, row * (self.n_theta + 1) + i),
+            lambda i: read(rings, row * (self.n_theta + 1) + i),
             self.n_theta,
             mi.Float64(sample2.x),
         )
         own = row * self.n_theta + ring
-        tilt = read(self.tilts, own)
+        tilt = read(tilts, own)
         off = tilted(fraction, tilt) - 0.5
         first = own * (self.n_phi + 1)
         sector, fraction = quantile(
-            lambda i: (
-                read(self.sectors, first + i) + off * read(self.sector_tilts, first + i)
-            ),
+            lambda i: read(sectors, first + i) + off * read(sector_tilts, first + i),
             self.n_phi,
             mi.Float64(sample2.y) * (1 + off * tilt),
         )

@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -114,15 +115,12 @@ def _histograms(brdf: Floats, patches: RingsAndSectors, phi_i: float) -> Floats:
     return (1 - EVEN_FRACTION) * flux + EVEN_FRACTION * even / even.sum()
 
 
-def _segment(first: Floats, second: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+def _segment(first: Floats, second: Floats) -> tuple[Floats, ...]:
     """Strips and cells of a segment between two histograms, and their slopes."""
-    along = [cumulative(histogram.sum(axis=1)) for histogram in (first, second)]
-    strips, strip_slopes, of = merged(*along)
-    across = [
-        cumulative(histogram)[index] for histogram, index in zip((first, second), of)
-    ]
-    cells, cell_slopes, _ = merged(*across)
-    return strips, strip_slopes, cells, cell_slopes
+    both = first, second
+    *strips, of = merged(*(cumulative(one.sum(axis=1)) for one in both))
+    *cells, _ = merged(*(cumulative(one)[index] for one, index in zip(both, of)))
+    return *strips, *cells
 
 
 def cumulative(weight: Floats) -> Floats:
@@ -326,8 +324,7 @@ class MeasuredLobes:
         return brdf
 
 
-@dataclass(frozen=True, eq=False)
-class Drawing:
+class Drawing(NamedTuple):
     """Cumulative distributions of the flux of a table's lobes.
 
     Attributes

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import drjit as dr
@@ -168,7 +167,15 @@ class IncidentPlaces:
             low, high = read(self.sin_i, segment), read(self.sin_i, segment + 1)
             t = dr.clip((sine - low) / (high - low), 0, 1)
         z_i = mi.Float64(wi.z) / dr.sqrt(mi.Float64(dr.squared_norm(wi)))
-        place = partial(self._place, segment, t, z_i)
+        ends = segment, dr.minimum(segment + 1, self.n_angles - 1)
+
+        def place(weight: Any, azimuth: mi.UInt32, past: mi.Float64) -> Place:
+            first = azimuth * self.n_angles
+            rows = first + ends[0], first + ends[1]
+            z_ends = tuple(read(self.cos_i, row - first) for row in rows)
+            number = azimuth * self.n_segments + segment
+            return Place(weight, azimuth, number, rows, t, past, z_i, z_ends)
+
         if self.n_azimuths == 1:
             return [place(mi.Float64(1), mi.UInt32(0), mi.Float64(0))]
         turn = 2 * dr.pi
@@ -184,18 +191,3 @@ class IncidentPlaces:
         gap = dr.select(gap <= 0, gap + turn, gap)
         fraction = past / gap
         return [place(1 - fraction, low, past), place(fraction, high, past - gap)]
-
-    def _place(
-        self,
-        segment: mi.UInt32,
-        t: mi.Float64,
-        z_i: mi.Float64,
-        weight: mi.Float64,
-        azimuth: mi.UInt32,
-        past: mi.Float64,
-    ) -> Place:
-        first = azimuth * self.n_angles
-        rows = first + segment, first + dr.minimum(segment + 1, self.n_angles - 1)
-        ends = tuple(read(self.cos_i, row - first) for row in rows)
-        segment = azimuth * self.n_segments + segment
-        return Place(weight, azimuth, segment, rows, t, past, z_i, ends)
