@@ -140,17 +140,12 @@ def check_peaks(directions: MeasuredDirections, theta_i: float) -> None:
     # the mirror image is in the middle of a patch
     middle = sum(_ring(theta_i, finest)) / 2
     record = directions.probe((middle, 180 + 180 / finest.n_phi), finest)
-    fraction = _peak_fraction(record)
-    if fraction > 2 * directions.tolerance:
-        raise _delta_error(fraction, record, theta_i)
-
-
-def _peak_fraction(record: Record) -> float:
-    """Fraction of the flux of one incident direction that stands out of its patches."""
     flux = record.flux_fraction.sum(axis=-1)
     total = flux.sum()
     stands_out = flux > np.maximum(STANDS_OUT * _beside(flux), MIN_PEAK * total)
-    return float(flux[stands_out].sum() / total) if total > 0 else 0.0
+    fraction = float(flux[stands_out].sum() / total) if total > 0 else 0.0
+    if fraction > 2 * directions.tolerance:
+        raise _delta_error(fraction, record, theta_i)
 
 
 def _delta_error(fraction: float, record: Record, theta_i: float) -> SpecimenError:

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..results.azimuth_symmetry import AzimuthSymmetry, Motion, azimuth_of
-from ..results.campaign_outcome import PredictionError
 from ..results.prediction_error import prediction_error
 from .measured_directions import TESTING, MeasuredDirections
 
@@ -40,6 +39,7 @@ class SymmetryRecognition:
     def __init__(self, directions: MeasuredDirections, angles: Sequence[float]) -> None:
         self.directions = directions
         self.angles, self.looked_at = angles, angles[1:3]
+        self.limit = directions.tolerance / 2
         self.normal = self.directions.records[0.0, 0.0]
         self.n_sectors = self.normal.subdivision.shape[1]
 
@@ -55,7 +55,7 @@ class SymmetryRecognition:
         self.directions.measure(turned, "is it isotropic?")
         line = self.directions.prediction((theta, 0.0) for theta in self.angles)
         errors = [self.directions.error(line, *one) for one in turned]
-        isotropic = not any(self._is_wrong(one) for one in errors)
+        isotropic = not any(one.exceeds(self.limit) for one in errors)
         found = "isotropic" if isotropic else "anisotropic"
         logger.info(
             "%s is %s: turned by %d azimuths, total variation distance %.2g",
@@ -79,7 +79,7 @@ class SymmetryRecognition:
         start = theta, phi
         self.directions.measure([start, *images], "is it symmetric?", TESTING)
         return any(
-            self._is_wrong(self._change(motion, start, image))
+            self._changes(motion, start, image)
             for motion, image in zip(motions, images)
         )
 
@@ -99,7 +99,7 @@ class SymmetryRecognition:
     def _holds(self, motion: Motion) -> bool:
         """Whether a motion changes neither light along the normal, nor from beside."""
         normal = 0.0, 0.0
-        if self._is_wrong(self._change(motion, normal, normal)):
+        if self._changes(motion, normal, normal):
             return False
         n = self.n_sectors
         starts = {azimuth_of(round(n * turn), n) for turn in IMAGED}
@@ -109,14 +109,10 @@ class SymmetryRecognition:
             for phi in sorted(starts)
         )
 
-    def _change(
+    def _changes(
         self, motion: Motion, start: tuple[float, float], image: tuple[float, float]
-    ) -> PredictionError:
-        """What is wrong if a known direction is the image of another one."""
+    ) -> bool:
+        """Whether a known direction is not the image of another one."""
         known = self.directions.records
-        return prediction_error(
-            known[image], motion.moved(known[start].flux_fraction, 2)
-        )
-
-    def _is_wrong(self, change: PredictionError) -> bool:
-        return change.exceeds(self.directions.tolerance / 2)
+        moved = motion.moved(known[start].flux_fraction, 2)
+        return prediction_error(known[image], moved).exceeds(self.limit)

@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from .half_vectors import is_redirected, redirected
-from .lobes import Drawing, LobeTable, mean_lobes
+from .lobes import Drawing, LobeTable, mean_lobes, transport_pieces
 from .lookups import (
     DiskPoint,
     IncidentPlaces,
@@ -86,15 +86,13 @@ class QuantileTransport:
     """
 
     def __init__(self, table: LobeTable) -> None:
-        segments = table.segments
-        self.n_hemispheres, n = segments.strips.shape[3:]
-        self.strips, self.cells = (
-            _Pieces([doubles(end) for end in a], [doubles(end) for end in b], n)
-            for a, b in (
-                (segments.strips, segments.strip_slopes),
-                (segments.cells, segments.cell_slopes),
-            )
+        pieces = transport_pieces(table.brdf, table.patches, table.grid.phi_i)
+        self.n_hemispheres, n = pieces[0].shape[3:]
+        strips, strip_slopes, cells, cell_slopes = (
+            [doubles(end) for end in ends] for ends in pieces
         )
+        self.strips = _Pieces(strips, strip_slopes, n)
+        self.cells = _Pieces(cells, cell_slopes, n)
 
     def moved(
         self,

@@ -43,49 +43,39 @@ N_POINTS = 8
 EVEN_FRACTION = 0.01
 
 
-@dataclass(frozen=True, eq=False)
-class TransportTable:
-    """Maps of points between the polar angles of a table.
+def transport_pieces(
+    brdf: Floats, patches: RingsAndSectors, phi_i: Floats
+) -> list[Floats]:
+    """Maps of points between the polar angles of a table's lobes.
 
     A *segment* leads from one polar angle to the next; there are ``K = max(N - 1, 1)``.
     Across a segment, histogram edges of both ends cut the disk into
     ``S = 2 N_CELLS - 1`` strips of x, and each strip into ``S`` cells of
     ``y / sqrt(1 - x^2)``; within one, points move together.
 
-    Attributes
-    ----------
+    Returns
+    -------
     strips, strip_slopes : ndarray, shape (2, P, K, H, S)
         Where a strip begins, and its width per fraction of the flux, on both ends of
         the segment.
     cells, cell_slopes : ndarray, shape (2, P, K, H, S, S)
         The same across a strip.
     """
-
-    strips: Floats
-    strip_slopes: Floats
-    cells: Floats
-    cell_slopes: Floats
-
-    @classmethod
-    def of(
-        cls, brdf: Floats, patches: RingsAndSectors, phi_i: Floats
-    ) -> TransportTable:
-        """Strips and cells of all segments of a table's lobes."""
-        n_azimuths, n_angles, n_hemispheres = brdf.shape[:3]
-        shape = n_azimuths, max(n_angles - 1, 1), n_hemispheres, 2 * N_CELLS - 1
-        # both ends as channels, which are not copied
-        arrays = [
-            np.moveaxis(aligned((*shape, *more, 2)), -1, 0)
-            for more in ((), (), shape[-1:], shape[-1:])
-        ]
-        for azimuth, phi in enumerate(np.radians(phi_i)):
-            histograms = _histograms(brdf[azimuth], patches, phi)
-            for segment, hemisphere in np.ndindex(shape[1:3]):
-                ends = segment, min(segment + 1, n_angles - 1)
-                found = _segment(*(histograms[end, hemisphere] for end in ends))
-                for array, own in zip(arrays, found):
-                    array[:, azimuth, segment, hemisphere] = own
-        return cls(*arrays)
+    n_azimuths, n_angles, n_hemispheres = brdf.shape[:3]
+    shape = n_azimuths, max(n_angles - 1, 1), n_hemispheres, 2 * N_CELLS - 1
+    # both ends as channels, which are not copied
+    arrays = [
+        np.moveaxis(aligned((*shape, *more, 2)), -1, 0)
+        for more in ((), (), shape[-1:], shape[-1:])
+    ]
+    for azimuth, phi in enumerate(np.radians(phi_i)):
+        histograms = _histograms(brdf[azimuth], patches, phi)
+        for segment, hemisphere in np.ndindex(shape[1:3]):
+            ends = segment, min(segment + 1, n_angles - 1)
+            found = _segment(*(histograms[end, hemisphere] for end in ends))
+            for array, own in zip(arrays, found):
+                array[:, azimuth, segment, hemisphere] = own
+    return arrays
 
 
 def _histograms(brdf: Floats, patches: RingsAndSectors, phi_i: float) -> Floats:
@@ -225,11 +215,6 @@ class LobeTable:
             tilts=sector_tilts[..., -1],
             sector_tilts=sector_tilts,
         )
-
-    @property
-    def segments(self) -> TransportTable:
-        """Maps by which quantiles are transported."""
-        return TransportTable.of(self.brdf, self.patches, self.grid.phi_i)
 
 
 class MeasuredLobes:

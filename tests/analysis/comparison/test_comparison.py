@@ -144,25 +144,27 @@ def test_a_scan_from_the_other_side_is_noted(first, noted):
     assert noted == any("180 degrees on would agree" in n for n in found.notes)
 
 
-def test_mirrored_azimuth_differs():
+@pytest.mark.parametrize(
+    ("azimuths", "factor", "noted"),
+    [
+        (lambda phi, _: -phi, 1, "azimuths of exit clockwise would agree"),
+        (lambda phi, own: 2 * own - phi, 1, "at the plane of incidence would agree"),
+        (lambda phi, _: phi + 180, 1, "180 degrees on would agree"),
+        (lambda phi, _: phi, 1.5, None),
+    ],
+)
+def test_azimuths_counted_in_another_way_differ_and_are_told(azimuths, factor, noted):
+    """Twin: what is wrong in any way; whole turns are the same directions."""
     record = gloss()
     values, _, phi = truth(record)
-    mirrored = table_of(record, values, phi_o=-phi, uncertainty=0.005)
-    found = compare(record, mirrored)
+    other = azimuths(phi, record.phi_i[0])
+    how = {"uncertainty": 0.005}
+    found = compare(record, table_of(record, factor * values, phi_o=other, **how))
     disagree(of_comparison(found))
-    assert any("azimuths of exit clockwise would agree" in n for n in found.notes)
-    (incident,) = table_of(record, values).incident
-    image = table_of(record, values, phi_o=2 * incident[1] - phi, uncertainty=0.005)
-    notes = compare(record, image).notes
-    assert any("image at the plane of incidence would agree" in n for n in notes)
-    turned = compare(
-        record, table_of(record, values, phi_o=phi + 180, uncertainty=0.005)
-    )
-    assert any("180 degrees on would agree" in note for note in turned.notes)
-    # the twin: what is wrong in either way
-    wrong = compare(record, table_of(record, 1.5 * values, uncertainty=0.005))
-    assert not any("would agree" in note for note in wrong.notes)
-    whole_turns = table_of(record, values, phi_o=phi + 720, uncertainty=0.005)
+    said = [note for note in found.notes if "would agree" in note]
+    assert len(said) == (noted is not None)
+    assert not said or noted in said[0]
+    whole_turns = table_of(record, values, phi_o=phi + 720, **how)
     agree(of_comparison(compare(record, whole_turns)))
 
 
@@ -292,34 +294,46 @@ def test_rms_is_that_of_the_paper():
     disagree(Verdict({"rms": float(2 * stats.chi2.sf(square, m - 1))}))
 
 
-def with_hits(record, n):
-    """Record with so many hits of unit weight in the first patch, one per batch."""
+def with_hits(record, n, weight=1.0):
+    """Record with so many hits in the first patch, one per batch, each of a weight."""
     made = synthetic.writeable(record.tallies[0])
     made.hits[0, 0, 0] = n
     made.sums[:, 0, 0, 0] = 0
-    made.sums[:n, 0, 0, 0] = made.scale
+    made.sums[:n, 0, 0, 0] = made.scale * weight
     return replace(record, tallies=(made,))
 
 
-def test_empty_patches_take_part():
-    """No hit where 20 were expected has the exact score of Poisson's law."""
-    record = gloss()
-    record = with_hits(record, 0)
-    (made,) = record.tallies
-    weight = 1.0  # of a hit of the synthetic record
-    rays = made.ledger.emitted
+def first_score(record, expected, relative=0.0):
+    """Score of the first patch, where so many hits were expected; and the comparison.
+
+    Those are uncertain by a part of themselves; all other patches are as expected.
+    """
     values = record.brdf[..., 0].ravel().copy()
-    values[0] = 20 * weight / rays / record.subdivision.projected_solid_angles[0, 0]
-    comparison = compare(record, table_of(record, values))
-    z = special.ndtri(np.exp(-20))
+    solid = record.subdivision.projected_solid_angles[0, 0]
+    values[0] = expected / record.ledger.emitted / solid
+    sigma = np.zeros(len(values))
+    sigma[0] = relative * values[0]
+    comparison = compare(record, table_of(record, values, sigma=sigma))
+    return comparison.z[0], comparison
+
+
+def test_empty_patches_take_part():
+    """No hit where 20 were expected has the exact score of Poisson's law.
+
+    If their mean is 20 give or take 10 it follows a gamma distribution, and they a
+    negative binomial one: of 4 successes of a chance of 1 in 6.
+    """
+    record = with_hits(gloss(), 0)
+    z, comparison = first_score(record, 20)
     # FEW_ROUNDINGS of the mean, and the inverse of a tail, to a few digits of eps
-    assert comparison.z[0] == pytest.approx(z, rel=2.0**-18)
+    assert z == pytest.approx(special.ndtri(np.exp(-20)), rel=2.0**-18)
     assert np.isnan(comparison.std_err[0])
     assert comparison.to_dict()["worst"][0]["std_err"] is None
-    values[0] = 0
-    assert compare(record, table_of(record, values)).z[0] == 0
-    values[0] = -1e-9
-    assert compare(record, table_of(record, values)).z[0] == 0
+    for nothing in (0, -1e-3):
+        assert first_score(record, nothing)[0] == 0
+    # FEW_ROUNDINGS of the mean and of its variance
+    expected = special.ndtri(stats.nbinom.cdf(0, 4, 1 / 6))
+    assert first_score(record, 20, 0.5)[0] == pytest.approx(expected, rel=2.0**-18)
 
 
 @pytest.mark.parametrize("expected", [3, 30])
@@ -328,73 +342,38 @@ def test_a_hit_that_weighs_nothing_tells_as_much_as_none(expected):
 
     Twin: where thirty hits of the usual weight were expected, one does.
     """
-    record = gloss()
-    made = synthetic.writeable(record.tallies[0])
-    made.hits[0, 0, 0] = 1
-    made.sums[:, 0, 0, 0] = 0
-    made.sums[0, 0, 0, 0] = made.scale / 10**4
-    record = replace(record, tallies=(made,))
-    values = record.brdf[..., 0].ravel().copy()
-    solid = record.subdivision.projected_solid_angles[0, 0]
-    values[0] = expected / made.ledger.emitted / solid
-    (z, *_) = compare(record, table_of(record, values)).z
+    z, _ = first_score(with_hits(gloss(), 1, 1e-4), expected)
     # as without a hit, but for what it weighs
     assert z == pytest.approx(special.ndtri(np.exp(-expected)), rel=1e-3)
     assert (z < -6) == (expected == 30)
 
 
-def test_empty_patch_of_one_of_two_records():
-    """Given the sum of hits, those of one record are binomial: here a fair coin."""
-    a, b = gloss(seed=1), gloss(seed=2)
-    a, b = with_hits(a, 0), with_hits(b, 12)
-    comparison = compare(a, b)
-    assert comparison.z[0] == pytest.approx(special.ndtri(0.5**12), rel=100 * EPS)
+@pytest.mark.parametrize(("more", "chance"), [(1, 1 / 2), (3, 3 / 4)])
+def test_empty_patch_of_one_of_two_records(more, chance):
+    """Given 12 hits, those of one record are binomial: of as many rays a fair coin.
 
-
-def test_few_hits_and_an_uncertain_mean():
-    """The mean of Poisson's law follows a gamma distribution: a negative binomial."""
-    record = gloss()
-    record = with_hits(record, 0)
-    (made,) = record.tallies
-    values, sigma = record.brdf[..., 0].ravel().copy(), np.zeros(48)
-    # 20 hits were expected, give or take 10: 4 successes of a chance of 1 in 6
-    solid = record.subdivision.projected_solid_angles[0, 0]
-    values[0] = 20 / made.ledger.emitted / solid
-    sigma[0] = values[0] / 2
-    comparison = compare(record, table_of(record, values, sigma=sigma))
-    # FEW_ROUNDINGS of the mean and of its variance
-    expected = special.ndtri(stats.nbinom.cdf(0, 4, 1 / 6))
-    assert comparison.z[0] == pytest.approx(expected, rel=2.0**-18)
+    One with a quarter of all rays gets none by (3 / 4)^12.
+    """
+    a = with_hits(gloss(seed=1), 0)
+    b = synthetic.record(rays=more * 50_000, n_batches=32, seed=2)
+    b = with_hits(b, 12)
+    z = special.ndtri(chance**12)
+    # rounding: of the flux that a hit is worth, twice, and of the inverse of a tail
+    assert compare(a, b).z[0] == pytest.approx(z, rel=100 * EPS)
+    assert compare(b, a).z[0] == pytest.approx(-z, rel=100 * EPS)
 
 
 def test_a_hit_that_weighs_nothing_in_one_of_two_records():
     """Given twelve in the other one; alone it would be worth all of them."""
-    a, b = gloss(seed=1), with_hits(gloss(seed=2), 12)
-    made = synthetic.writeable(a.tallies[0])
-    made.hits[0, 0, 0] = 1
-    made.sums[:, 0, 0, 0] = 0
-    made.sums[0, 0, 0, 0] = made.scale / 10**4
-    a = replace(a, tallies=(made,))
+    a, b = with_hits(gloss(seed=1), 1, 1e-4), with_hits(gloss(seed=2), 12)
     # one more hit of the other's weight makes means of 1 / 2 and 12 / 13, but for what
     # it weighs: shares of 24 to 13
     z = special.ndtri(special.betainc(12, 2, 13 / 37))
-    zero = np.zeros(1, int)
-    one, two = (Readings.of(record, 0, zero, zero, zero) for record in (a, b))
+    one, two = (Readings.of(record, 0, 0, 0, np.zeros(1, int)) for record in (a, b))
     assert _two_hits_score(one, two) == pytest.approx(z, rel=1e-3)
     assert _two_hits_score(two, one) == pytest.approx(-z, rel=1e-3)
     # Student's t, of twelve batches with one hit each and four without, says less
     assert z < compare(a, b).z[0] < 0
-
-
-def test_empty_patch_of_the_shorter_of_two_records():
-    """One has a quarter of all rays: of 12 hits it gets none by (3 / 4)^12."""
-    a = synthetic.record(rays=50_000, n_batches=32, seed=1)
-    b = synthetic.record(rays=150_000, n_batches=32, seed=2)
-    a, b = with_hits(a, 0), with_hits(b, 12)
-    z = special.ndtri(0.75**12)
-    # rounding: of the flux that a hit is worth, twice, and of the inverse of a tail
-    assert compare(a, b).z[0] == pytest.approx(z, rel=100 * EPS)
-    assert compare(b, a).z[0] == pytest.approx(-z, rel=100 * EPS)
 
 
 def test_passes_of_the_same_rays_count_once():
@@ -404,8 +383,7 @@ def test_passes_of_the_same_rays_count_once():
     doubled = replace(made, hits=made.hits * 2, fates=made.fates * np.uint64(2))
     twice = replace(once, tallies=(doubled,)).with_provenance(passes=2)
     patch = np.arange(once.subdivision.n_patches)
-    zero = np.zeros_like(patch)
-    one, two = (Readings.of(r, 0, zero, patch, zero) for r in (once, twice))
+    one, two = (Readings.of(r, 0, 0, 0, patch) for r in (once, twice))
     for name in ("value", "hits", "exposure", "weight"):
         np.testing.assert_array_equal(getattr(two, name), getattr(one, name))
     assert one.weight[0] > 0, "of an empty patch"
@@ -418,8 +396,7 @@ def test_batches_that_agree_are_trusted_to_a_rounded_hit():
     made.hits[0, 0, 0] = 320
     made.sums[:, 0, 0, 0] = 10 * made.scale
     record = replace(record, tallies=(made,))
-    zero = np.zeros(1, int)
-    even = Readings.of(record, 0, zero, zero, zero)
+    even = Readings.of(record, 0, 0, 0, np.zeros(1, int))
     assert even.std_err == 0
     solid = record.subdivision.projected_solid_angles[0, 0]
     expected = np.sqrt(32 / 12) / (made.ledger.emitted * solid)
@@ -550,10 +527,22 @@ def test_what_a_table_must_share_with_a_record():
         compare(alone, table_of(record, values))
 
 
-@pytest.mark.parametrize("alpha", [0, 1, -1, float("nan"), "often"])
-def test_alpha_is_a_probability(alpha):
-    with pytest.raises((TypeError, ValueError), match="alpha must be a probability"):
-        compare(gloss(), gloss(seed=2), alpha=alpha)
+@pytest.mark.parametrize(
+    ("first", "other", "given", "message"),
+    [
+        *(
+            (gloss(), gloss(seed=2), {"alpha": alpha}, "alpha must be a probability")
+            for alpha in (0, 1, -1, float("nan"), "often")
+        ),
+        ([], gloss(), {}, "record must be a Record"),
+        (gloss(), "measured.csv", {}, "other must be a Record or a MeasuredTable"),
+        ([gloss()] * 2, gloss(), {}, "record must be one Record if other is one"),
+        (gloss(), gloss(seed=2), {"uncertainty": -0.1}, "uncertainty must be a finite"),
+    ],
+)
+def test_what_no_comparison_can_be_made_of(first, other, given, message):
+    with pytest.raises((TypeError, ValueError), match=message):
+        compare(first, other, **given)
 
 
 @pytest.mark.usefixtures("mono")
@@ -569,15 +558,6 @@ def test_a_specimen_is_measured_as_the_other_was():
     assert not compare(record, more).passed
     with pytest.raises(TypeError, match="rays applies to a specimen, got none"):
         compare(record, record, rays=3)
-
-
-def test_wrong_types():
-    with pytest.raises(TypeError, match="record must be a Record"):
-        compare([], gloss())
-    with pytest.raises(TypeError, match="other must be a Record or a MeasuredTable"):
-        compare(gloss(), "measured.csv")
-    with pytest.raises(ValueError, match="uncertainty must be a finite number"):
-        compare(gloss(), gloss(seed=2), uncertainty=-0.1)
 
 
 # ------------------------------------------------------------------------- the reader
