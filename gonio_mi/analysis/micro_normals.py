@@ -80,7 +80,13 @@ def found_facets(specimen: Specimen, points: int, blocks: int, seed: int) -> Fac
         for shape, n in zip(specimen.surfaces, numbers.tolist())
     ]
     p, normal = (np.concatenate(columns) for columns in zip(*parts))
-    si = _found(specimen, p, normal)
+    # as rays find what they fall on from just above: only so are they known to the bit
+    # by what tells a surface from itself
+    above = np.abs(p).max(axis=1, keepdims=True) + specimen.detail
+    origin = mi.Point3f((p + normal * above * APPROACH).astype(np.float32).T)
+    ray = mi.Ray3f(origin, -mi.Vector3f(normal.T))
+    si = intersect(specimen.scene, ray, SURFACE, mi.Bool(True))
+    dr.eval(si)
     there = si.is_valid().numpy()
     if np.count_nonzero(there) < 0.99 * len(there):
         raise SpecimenError(
@@ -124,19 +130,6 @@ def _points(
     a, b, c, normal = (one[chosen] for one in (a, b, c, normal))
     unit = normal / np.linalg.norm(normal, axis=1, keepdims=True)
     return shares[0] * a + shares[1] * b + shares[2] * c, unit
-
-
-def _found(specimen: Specimen, p: Floats, n: Floats) -> mi.SurfaceInteraction3f:
-    """Points as rays find them that fall on them from just above.
-
-    Only so are they known to the bit by what tells a surface from itself.
-    """
-    above = np.abs(p).max(axis=1, keepdims=True) + specimen.detail
-    origin = mi.Point3f((p + n * above * APPROACH).astype(np.float32).T)
-    ray = mi.Ray3f(origin, -mi.Vector3f(n.T))
-    si = intersect(specimen.scene, ray, SURFACE, mi.Bool(True))
-    dr.eval(si)
-    return si
 
 
 # Rings of the hemisphere in which micro-normals are counted, to 90 degrees; those that

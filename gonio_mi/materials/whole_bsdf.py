@@ -86,11 +86,6 @@ class WholeBsdf:
         if self.has_own_collector:
             checked_sectors(asked.collector)
 
-    @property
-    def known(self) -> dict[tuple[float, float], Record]:
-        """Records of the directions measured so far."""
-        return self.directions.records
-
     def measured(self) -> Record:
         """Stack of the directions that the material needs, with its errors.
 
@@ -291,7 +286,8 @@ class WholeBsdf:
 
     def _described(self, errors: Sequence[PredictionError]) -> Record:
         """The material's record, with what is known of its errors."""
-        every = self.symmetry.whole(self.known, self.rings.directions())
+        known = self.directions.records
+        every = self.symmetry.whole(known, self.rings.directions())
         record = self.directions.stacked(every)
         directions = zip(record.theta_i.tolist(), record.phi_i.tolist())
         within = np.mean([not one.exceeds(self.tolerance) for one in errors])
@@ -301,8 +297,8 @@ class WholeBsdf:
             isotropic=self.isotropic,
             turns=self.symmetry.turns,
             mirror=self.symmetry.mirror_azimuth,
-            copies=tuple(one for one in directions if one not in self.known),
-            measured=len(self.known),
+            copies=tuple(one for one in directions if one not in known),
+            measured=len(known),
             rays=self.directions.rays,
             within=float(within),
             unseen=tuple(errors),

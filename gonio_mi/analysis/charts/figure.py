@@ -73,7 +73,11 @@ def plot_chart(
         # integrals send no rays; their label is wanted all the same
         rays = np.where(curve.rays > 0, curve.rays, np.nan)
         _draw_curve(by_rays, chart, curve, rays, colours[curve.sampler])
-    _draw_expectation(by_rays, chart)
+    sent = np.concatenate([c.rays for c in chart.curves if c.sampler] or [np.ones(1)])
+    ends = np.array([sent.min(), sent.max()])
+    theory = r"theory, counted rays: $\sqrt{p(1-p)/N}$"
+    errors = chart.independent / np.sqrt(ends)
+    by_rays.plot(ends, errors, "k:", lw=1.2, label=theory)
     _finish(by_rays, chart, target)
     by_time.set_xlabel("CPU seconds of one measurement")
     by_time.set_ylabel("RMS error over the patches / mean BSDF; bars: 95 %")
@@ -112,7 +116,9 @@ def chart_view(chart: Chart, target: float = 0.01) -> str:
 def draw_by_time(axes: Axes, chart: Chart, target: float) -> None:
     """Draw the left part of :func:`plot_chart` on axes, without labels and legend."""
     colours = _colours(chart)
-    _draw_front(axes, chart)
+    front = [(point.cpu_seconds, point.error) for _, point in chart.pareto()]
+    style = {"color": FRONT_COLOUR, "lw": 9, "solid_capstyle": "round", "zorder": 0}
+    axes.plot(*zip(*front), label="Pareto front", **style)
     for curve in chart.curves:
         _draw_curve(axes, chart, curve, curve.cpu_seconds, colours[curve.sampler])
     _finish(axes, chart, target)
@@ -129,44 +135,10 @@ def _draw_curve(axes: Axes, chart: Chart, curve: Curve, x: Floats, colour: str) 
     marker, line, face = STYLES.get(curve.estimator, QUADRATURE_STYLE)
     times = special.stdtrit(chart.settings.get("repeats", 2) - 1, (1 + LEVEL) / 2)
     bars = times * np.nan_to_num([point.error_std_err for point in curve.points])
+    bars = np.minimum(bars, 0.9 * curve.error)
+    style = {"marker": marker, "ms": 4 if marker == "o" else 8, "mfc": face, "ls": line}
     axes.errorbar(
-        x,
-        curve.error,
-        np.minimum(bars, 0.9 * curve.error),
-        color=colour,
-        marker=marker,
-        ls=line,
-        mfc=face,
-        ms=4 if marker == "o" else 8,
-        lw=1.2,
-        label=curve.label,
-    )
-
-
-def _draw_front(axes: Axes, chart: Chart) -> None:
-    """The Pareto front over time."""
-    front = [point for _, point in chart.pareto()]
-    axes.plot(
-        [point.cpu_seconds for point in front],
-        [point.error for point in front],
-        color=FRONT_COLOUR,
-        lw=9,
-        solid_capstyle="round",
-        zorder=0,
-        label="Pareto front",
-    )
-
-
-def _draw_expectation(axes: Axes, chart: Chart) -> None:
-    """Error of counted independent rays, by multinomial statistics."""
-    rays = np.concatenate([c.rays for c in chart.curves if c.sampler] or [np.ones(1)])
-    ends = np.array([rays.min(), rays.max()])
-    axes.plot(
-        ends,
-        chart.independent / np.sqrt(ends),
-        "k:",
-        lw=1.2,
-        label=r"theory, counted rays: $\sqrt{p(1-p)/N}$",
+        x, curve.error, bars, color=colour, lw=1.2, label=curve.label, **style
     )
 
 

@@ -25,6 +25,9 @@ MAX_LINEAR_RANGE = 100
 # Azimuths closer than this, in degrees, are the same.
 AZIMUTH_TOLERANCE = 1e-3
 
+# Of bars and markers of both curves.
+BARS = {"markeredgewidth": 0.8, "elinewidth": 0.8, "capsize": 2}
+
 # Of the record, of what it is compared with, and of scores.
 COLOURS = {"record": "C0", "other": "0.6", "z": "0.45"}
 
@@ -161,20 +164,10 @@ def _draw(comparison: Any, panel: _Panel, above: Axes, below: Axes) -> None:
     ):
         # wide below narrow: curves that agree are both seen
         size, width = (7, 2.5) if of == "other" else (3, 0.8)
-        above.errorbar(
-            x,
-            values[points],
-            np.nan_to_num(errors[points]),
-            fmt=f"{panel.line}{style}",
-            color=COLOURS[of],
-            markersize=size,
-            markeredgewidth=0.8,
-            linewidth=width,
-            elinewidth=0.8,
-            capsize=2,
-            label=f"{abridged(name, LABEL)} +- std_err",
-            mfc=face,
-        )
+        own = {"markersize": size, "linewidth": width, "markerfacecolor": face}
+        own |= {"color": COLOURS[of], "label": f"{abridged(name, LABEL)} +- std_err"}
+        bars = x, values[points], np.nan_to_num(errors[points])
+        above.errorbar(*bars, fmt=f"{panel.line}{style}", **BARS, **own)
     above.set_title(panel.title, fontsize="small")
     above.tick_params(labelbottom=False)
     z = comparison.z[points]

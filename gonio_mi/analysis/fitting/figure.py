@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 # Incident directions that are drawn, evenly among all.
 MAX_DIRECTIONS = 4
 
+# Of points with their error bars.
+POINTS = {"fmt": "ok", "markersize": 3, "capsize": 2}
+
 # Quantile of the relative residuals that the lower axis shows; its least half-range.
 RESIDUAL_QUANTILE, MIN_HALF_RANGE = 0.95, 1e-6
 
@@ -76,15 +79,8 @@ def _draw_patches(axes: Axes, fits: list[Any], index: int, of: str) -> None:
     points = profile(single, of)
     value = points.value[:, 0]
     errors = np.abs([value - points.low[:, 0], points.high[:, 0] - value])
-    axes.errorbar(
-        points.theta,
-        value,
-        errors,
-        fmt="ok",
-        markersize=3,
-        capsize=2,
-        label=f"record, {bars_text(single)}",
-    )
+    label = f"record, {bars_text(single)}"
+    axes.errorbar(points.theta, value, errors, label=label, **POINTS)
     for fitted in fits:
         model = profile(fitted.prediction[index], of)
         line = np.append(model.value[:, 0], model.value[-1, 0])
@@ -159,13 +155,12 @@ def _draw_points(
     order = np.argsort(x[in_plane], kind="stable")
     x, own = x[in_plane][order], own[in_plane][order]
     value, errors = points.value[own], np.nan_to_num(points.std_err[own])
-    style = {"fmt": "ok", "markersize": 3, "capsize": 2}
     label = "points +- std_err" if errors.any() else "points, uncertainty not stated"
-    above.errorbar(x, value, errors, label=label, **style)
+    above.errorbar(x, value, errors, label=label, **POINTS)
     below.axhline(0, color="0.5", linewidth=0.8)
     some = np.where(value == 0, np.nan, value)
     left = [errors / some]
-    below.errorbar(x, 0 * x, left[0], **style | {"markersize": 0})
+    below.errorbar(x, 0 * x, left[0], **POINTS | {"markersize": 0})
     for fitted in fits:
         channels = fitted.predicted.size // len(points.value)
         model = fitted.predicted[::channels][own] / points.unit[own]

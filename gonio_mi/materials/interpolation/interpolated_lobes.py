@@ -41,8 +41,11 @@ class _Pieces:
 
     def find(
         self, row: mi.UInt32, coordinate: mi.Float64, start: mi.Float64
-    ) -> _OnPiece:
-        """The piece of a row on which a point is at `start` of the segment."""
+    ) -> tuple[mi.UInt32, mi.Float64, mi.Float64]:
+        """The piece of a row on which a point is at `start` of the segment.
+
+        Its number, the light up to the point, and its width per light.
+        """
         first = row * self.n
         piece = last(
             self.n, lambda i: self._at(self.begins, first + i, start) <= coordinate
@@ -50,13 +53,15 @@ class _Pieces:
         index = first + piece
         slope = self._at(self.slopes, index, start)
         fraction = (coordinate - self._at(self.begins, index, start)) / slope
-        return _OnPiece(index, fraction, slope)
+        return index, fraction, slope
 
-    def moved(self, on: _OnPiece, to: mi.Float64) -> tuple[mi.Float64, mi.Float64]:
+    def moved(
+        self, on: tuple[mi.UInt32, mi.Float64, mi.Float64], to: mi.Float64
+    ) -> tuple[mi.Float64, mi.Float64]:
         """Coordinate of the point at `to` of the segment, and its piece's stretch."""
-        slope = self._at(self.slopes, on.index, to)
-        begin = self._at(self.begins, on.index, to)
-        return begin + on.fraction * slope, slope / on.slope
+        index, fraction, before = on
+        slope = self._at(self.slopes, index, to)
+        return self._at(self.begins, index, to) + fraction * slope, slope / before
 
     @staticmethod
     def _at(
@@ -66,15 +71,6 @@ class _Pieces:
             return read(ends[t], index)
         low, high = (read(end, index) for end in ends)
         return (1 - t) * low + t * high
-
-
-@dataclass(frozen=True)
-class _OnPiece:
-    """Number of a piece, the light up to a point of it, and its width per light."""
-
-    index: mi.UInt32
-    fraction: mi.Float64
-    slope: mi.Float64
 
 
 class QuantileTransport:
@@ -108,7 +104,7 @@ class QuantileTransport:
         """
         row = place.segment * self.n_hemispheres + hemisphere
         strip = self.strips.find(row, point.x, start)
-        cell = self.cells.find(strip.index, point.v, start)
+        cell = self.cells.find(strip[0], point.v, start)
         found = []
         for to in ends:
             x, stretch_x = self.strips.moved(strip, to)

@@ -227,10 +227,8 @@ def test_points_are_means_over_seeds(monkeypatch):
     assert point.error_std_err == pytest.approx(expected, rel=16 * EPS)
     assert point.claimed == pytest.approx(0.25, rel=16 * EPS)
     several.point(method, 1, reference)
-    several.warm_up(method)
-    own = [seed for seed, *_ in seeds]
-    assert own[-1] == 0, "that of the reference, whose first runs are not measured"
-    assert len(set(own)) == 7
+    # 0 is that of the reference, and of first runs, which are not measured
+    assert {0, *(seed for seed, *_ in seeds)} == set(range(7))
 
 
 @pytest.mark.usefixtures("short")
@@ -315,9 +313,9 @@ def test_geometry_is_measured_against_a_long_run():
     methods = ["analog", "weighted", "next_event"]
     assert [c.estimator for c in chart.curves] == methods
     # the same truth by a way that knows no rays
-    exact = charting.chart(PLASTIC, 45, seconds=1, repeats=2, estimators=["quadrature"])
-    error = chart.reference.values - exact.reference.values
-    rms = np.sqrt(np.mean(error**2)) / exact.reference.mean
+    exact = gonio.measure(PLASTIC, 45, estimator="quadrature", rel_err=1e-6)
+    error = chart.reference.values - charting.arrays(exact)[0]
+    rms = np.sqrt(np.mean(error**2)) / np.mean(exact.brdf)
     # of 900 patches, whose scatter is that of Student's t with 15 degrees of freedom:
     # a mean square of 15 / 13, certain to sqrt(2.55 / 900)
     square = (rms / chart.reference.error) ** 2 * 13 / 15
@@ -393,7 +391,7 @@ def test_bad_settings_are_one_sentence(settings, message):
 # ------------------------------------------------------------------ picture, command
 
 
-def test_picture_shows_every_method(tmp_path):
+def test_picture_and_page_show_every_method_and_what_to_use(tmp_path):
     chart = synthetic(curve("weighted", 0.75, 1e-8), curve("analog", 0.5, 2e-8))
     figure = plot_chart(chart, tmp_path / "chart.png", target=0.01)
     assert (tmp_path / "chart.png").read_bytes()[:4] == b"\x89PNG"
@@ -402,6 +400,15 @@ def test_picture_shows_every_method(tmp_path):
     assert {"weighted, sobol", "analog, sobol"} < set(labels)
     assert "use" not in figure.get_suptitle()
     assert chart.advice(0.01) in figure.get_suptitle()
+    save_chart_page(chart, tmp_path / "chart.html", target=0.02)
+    for shown, target in (
+        ((tmp_path / "chart.html").read_text(), 0.02),
+        (chart._repr_html_(), 0.01),
+    ):
+        assert "<img" in shown
+        assert html.escape(chart.advice(target)) in shown
+        tables = [html.escape(chart.table(one)) in shown for one in (0.02, 0.01)]
+        assert tables == [target == 0.02, target == 0.01]
 
 
 @pytest.mark.parametrize("repeats", [2, 4])
@@ -415,19 +422,6 @@ def test_bars_know_that_seeds_are_few(repeats):
     quantile = {2: 12.7062047, 4: 3.1824463}[repeats]
     # tables of Student's t have nine digits
     assert (above - below) / 2 == pytest.approx(0.01 * quantile, rel=1e-8)
-
-
-def test_page_says_what_to_use(tmp_path):
-    chart = synthetic(curve("weighted", 0.75, 1e-8), curve("analog", 0.5, 2e-8))
-    save_chart_page(chart, tmp_path / "chart.html", target=0.02)
-    text = (tmp_path / "chart.html").read_text()
-    assert "<img" in text
-    assert html.escape(chart.advice(0.02)) in text
-    assert html.escape(chart.table(0.02)) in text
-    assert html.escape(chart.table(0.01)) not in text
-    shown = chart._repr_html_()
-    assert "<img" in shown
-    assert html.escape(chart.table(0.01)) in shown
 
 
 @pytest.mark.usefixtures("short")

@@ -68,6 +68,7 @@ def one_patch(patch, theta_i, fraction=0.5, collector="projected:6x8"):
     ],
 )
 def test_integral_over_each_patch_is_what_was_measured(plugin, collector, both):
+    """Twin: at another angle it is another record."""
     record = isotropic(collector=collector, both=both, phi_i=(25, 25, 25))
     bsdf = plugin(record)
     for number, theta_i in enumerate(record.theta_i):
@@ -78,12 +79,8 @@ def test_integral_over_each_patch_is_what_was_measured(plugin, collector, both):
         # what single precision displaces over a border of the largest patch
         tolerated += EPS * fraction.max() * record.subdivision.n_patches
         assert (error <= tolerated).all(), error.max()
-
-
-def test_twin_another_angle_is_another_record(plugin):
-    record = isotropic()
-    result = integrate(plugin(record), 30, 0, record.subdivision)
-    assert np.abs(result.flux[0] - record.flux_fraction[2, 0]).max() > 1e-3
+        other = record.flux_fraction[number - 1]
+        assert np.abs(result.flux[: len(other)] - other).max() > 1e-3
 
 
 def test_from_exr_and_from_npz_alike(plugin):
@@ -138,25 +135,6 @@ def test_weights_are_eval_over_density(plugin):
     # of one channel: the same weight for all, reflectance and transmittance together
     spread = weight.numpy().max() - weight.numpy().min()
     assert spread <= ROUNDING * weight.numpy().max()
-
-
-def test_measuring_it_returns_the_record(plugin):
-    """A rough conductor, measured; the material made of it, measured."""
-    angles = (0, 30, 60, 80)
-    conductor = {"type": "roughconductor", "alpha": 0.3}
-    record = gonio.measure(conductor, angles, collector="projected:8x16", rays=2**18)
-    again = gonio.measure(
-        plugin(record),
-        angles,
-        collector=record.subdivision,
-        rays=2**18,
-        sampler="independent",
-        seed=7,
-    )
-    for number in range(len(angles)):
-        reference = record.flux_fraction[number, 0, ..., 0]
-        agree(verdict(scores(again[number], reference)))
-        disagree(verdict(scores(again[number], np.roll(reference, 1, axis=0))))
 
 
 # ------------------------------------------------------------------ between angles
@@ -351,18 +329,14 @@ def test_radiance_mode_samples_follow_its_density(plugin):
             judge(verdict(normal_scores(t, batches - 1)))
 
 
-def test_seen_from_behind_what_was_lit_in_front(plugin):
-    """In pictures; light on the face that was not measured is not known: black."""
+def test_a_face_that_was_not_measured_is_black(plugin):
+    """In pictures, too: seen from behind is what was lit in front, and else nothing."""
     bsdf = plugin(isotropic(both=True))
     up, down = direction(np.array([[0.3], [2.8]]), 3.0)
+    assert (values(bsdf, np.concatenate([up, down]), 30, side=-1) == 0).all()
     assert (values(bsdf, up, 30, side=-1, mode=RADIANCE) > 0).all()
     assert (values(bsdf, down, 30, side=-1, mode=RADIANCE) == 0).all()
     assert (values(bsdf, down, 30, side=1, mode=RADIANCE) == 0).all()
-
-
-def test_a_face_that_was_not_measured_is_black(plugin):
-    wo = direction(np.array([0.3, 2.8]), 3.0)
-    assert (values(plugin(isotropic(both=True)), wo, 30, side=-1) == 0).all()
 
 
 def test_the_back_face_is_a_mirror_image(plugin, tmp_path):
@@ -372,14 +346,8 @@ def test_the_back_face_is_a_mirror_image(plugin, tmp_path):
     for up in (1, -1):
         front = values(bsdf, wo * [1, 1, up], 40)
         assert np.array_equal(front, values(bsdf, wo * [1, 1, -up], 40, side=-1))
-    back = gonio.measure(
-        bsdf,
-        30,
-        side="back",
-        collector=record.subdivision,
-        rays=2**18,
-        sampler="independent",
-    )
+    how = {"collector": record.subdivision, "rays": 2**18, "sampler": "independent"}
+    back = gonio.measure(bsdf, 30, side="back", **how)
     for hemisphere in (0, 1):
         fraction = record.flux_fraction[1, hemisphere, ..., 0]
         agree(verdict(scores(back, fraction, hemisphere)))
@@ -428,27 +396,16 @@ def test_white_sphere_vanishes_in_a_furnace(plugin):
     """In the mean of Mitsuba's own path tracer, of one event."""
     patches = gonio.subdivision("projected:6x8")
     even = np.full((1, 1, *patches.shape), 1 / patches.n_patches)
+    view = mi.ScalarTransform4f().look_at([0, 0, 4], [0] * 3, [0, 1, 0])
+    film = {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}}
+    bsdf = plugin(synthetic.exact(even, (0,), "projected:6x8"))
     scene = mi.load_dict(
         {
             "type": "scene",
             "integrator": {"type": "path", "max_depth": 2},
-            "sphere": {
-                "type": "sphere",
-                "bsdf": plugin(synthetic.exact(even, (0,), "projected:6x8")),
-            },
+            "sphere": {"type": "sphere", "bsdf": bsdf},
             "light": {"type": "constant"},
-            "sensor": {
-                "type": "perspective",
-                "to_world": mi.ScalarTransform4f().look_at(
-                    [0, 0, 4], [0] * 3, [0, 1, 0]
-                ),
-                "film": {
-                    "type": "hdrfilm",
-                    "width": 16,
-                    "height": 16,
-                    "rfilter": {"type": "box"},
-                },
-            },
+            "sensor": {"type": "perspective", "to_world": view, "film": film},
         }
     )
     picture = mi.render(scene, spp=16).numpy()
