@@ -289,6 +289,8 @@ def test_rectangles_show_no_triangles():
     plane = gonio.micro_normals({"type": "rectangle"}, points=points)
     # but that in a ring the mean cosine stands for each: of the first, for 1
     assert max(plane.elsewhere.values()) < (1 - np.cos(np.radians(2))) / 2
+    assert "as ggx          flat                  flat " in str(plane)
+    assert plane.model_density("ggx")[0] == pytest.approx(plane.density[0], rel=1e-3)
 
 
 @pytest.mark.parametrize("name", smith.DISTRIBUTIONS)
@@ -309,13 +311,6 @@ def test_means_of_rings_are_the_density(name):
     narrow = smith.ring_means(name, edges, 1e-4, 1e-4)
     solid = -2 * np.pi * np.diff(np.cos(np.radians(edges)))
     assert narrow @ solid == pytest.approx(1, rel=1e-6)
-
-
-@pytest.mark.usefixtures("mono")
-def test_a_plane_is_flat():
-    plane = gonio.micro_normals({"type": "rectangle"}, points=1000)
-    assert "as ggx          flat                  flat " in str(plane)
-    assert plane.model_density("ggx")[0] == pytest.approx(plane.density[0], rel=1e-3)
 
 
 def test_what_no_facet_sees_is_no_number():

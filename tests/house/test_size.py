@@ -25,9 +25,9 @@ BUDGET = {
     "reports": 250,
     "commands": 1140,
     "entrance": 730,
-    "materials": 2660,
+    "materials": 2590,
     "exchange": 3770,
-    "analysis": 4040,
+    "analysis": 3860,
     "validation": 8870,
 }
 CORE, WHOLE = 17500, 36890

@@ -266,9 +266,14 @@ def test_apertures_of_a_record_are_fitted(tmp_path):
         ({"emitter_half_angle": 1}, "emitter_half_angle of 1 degrees"),
         ({"value": np.zeros(32)}, "all values of the table are 0"),
         ({"value": np.linspace(-1, 0.9, 32)}, "negative on average"),
+        (
+            {"theta_o": np.linspace(100, 180, 32), "quantity": "btdf"},
+            r"must send light to where .* \(btdf\)",
+        ),
     ],
 )
 def test_tables_that_cannot_be_fitted(settings, message):
+    """Of no light, or not of the light that the model sends."""
     with pytest.raises(SettingError, match=message):
         gonio.fit(replace(table_of(METAL), **settings), "diffuse")
 
@@ -284,22 +289,10 @@ def test_as_many_parameters_as_values_are_refused(uncertainty):
     assert gonio.fit(table, "diffuse").dof == 1
 
 
-@pytest.mark.usefixtures("mono")
-def test_a_table_of_transmission_takes_no_opaque_model():
-    table = table_of(METAL)
-    below = replace(table, theta_o=180 - table.theta_o, quantity="btdf")
-    with pytest.raises(SettingError, match=r"must send light to where .* \(btdf\)"):
-        gonio.fit(below, "diffuse")
-
-
 def test_a_table_needs_a_variant_of_one_channel(rgb):  # noqa: ARG001
-    with pytest.raises(SettingError, match="needs the variant llvm_ad_mono"):
-        gonio.fit(synthetic_table(), "diffuse")
-
-
-def synthetic_table():
     angles = np.array([10.0, 40.0])
-    return MeasuredTable(angles, 0 * angles, angles, angles, angles)
+    with pytest.raises(SettingError, match="needs the variant llvm_ad_mono"):
+        gonio.fit(MeasuredTable(angles, 0 * angles, *[angles] * 3), "diffuse")
 
 
 @pytest.mark.usefixtures("mono")
