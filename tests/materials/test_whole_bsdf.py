@@ -43,7 +43,6 @@ from gonio_mi.results.azimuth_symmetry import AzimuthSymmetry
 from gonio_mi.results.campaign_outcome import PredictionError
 from gonio_mi.results.prediction_error import expected_noise, prediction_error
 from gonio_mi.results.provenance import Provenance
-from gonio_mi.results.tally import Fate, Tally
 from gonio_mi.settings import Estimator, MeasurementSettings
 
 CONDUCTOR = {"type": "roughconductor", "alpha": 0.5}
@@ -113,22 +112,9 @@ def test_the_worst_intervals_are_split_as_far_as_they_may_be():
 
 def counted(shares, rays, batches=16, seed=0):
     """Record of independent rays, of which each patch gets its share."""
-    patches = gonio.subdivision("projected:10x12")
-    shares = np.asarray(shares).reshape(1, *patches.shape)
-    generator = np.random.default_rng(seed)
-    rest = 1 - shares.sum()
-    drawn = generator.multinomial(rays, [*shares.ravel(), rest], size=batches)
-    hits = drawn[:, :-1].reshape(batches, *shares.shape).astype(np.uint64)
-    fates = np.zeros((batches, len(Fate)), np.uint64)
-    fates[:, Fate.REFLECTED] = hits.sum(axis=(1, 2, 3))
-    fates[:, Fate.ABSORBED] = rays - fates[:, Fate.REFLECTED]
-    tally = Tally(
-        hits=hits.sum(axis=0),
-        sums=hits[..., None],
-        incident=np.full((batches, 1), rays, np.uint64),
-        fates=fates,
-        scale=1,
-    )
+    patches, rng = gonio.subdivision("projected:10x12"), np.random.default_rng(seed)
+    weights = np.reshape(shares, (1, *patches.shape))
+    tally = synthetic.tally(patches, weights, rays, rng, 1, batches, analog=True)
     return gonio.Record(
         subdivision=patches,
         theta_i=np.array([30.0]),
@@ -325,23 +311,12 @@ def test_gradients_keep_means_and_find_slopes():
 
 def turned(azimuths):
     """Record of a lobe that turns with incidence, at azimuths of two polar angles."""
-    collector = gonio.subdivision("projected:6x16")
+    patches = gonio.subdivision("projected:6x16")
     pairs = [(t, phi) for t, some in zip((20, 60), azimuths) for phi in some]
-    thetas, phis = np.array(pairs, float).T
-    whole = synthetic.record(theta_i=(20, 60), phi_i=(0, 0), collector=str(collector))
-    flux = dict(zip((20, 60), whole.tallies))
-    tallies = []
-    for theta, phi in pairs:
-        tally, sectors = flux[theta], round(phi / 22.5)
-        arrays = {
-            "hits": np.roll(tally.hits, sectors, axis=-1),
-            "sums": np.roll(tally.sums, sectors, axis=-2),
-        }
-        others = {name: getattr(tally, name) for name in ("incident", "fates", "scale")}
-        tallies.append(Tally(**arrays, **others))
-    return gonio.Record(
-        whole.subdivision, thetas, phis, whole.channels, tuple(tallies), stacked=True
-    )
+    lobes = {theta: synthetic.specular(patches, theta, 180, 30) for theta in (20, 60)}
+    weights = [np.roll(lobes[t], round(phi / 22.5), axis=1) / 2 for t, phi in pairs]
+    thetas, phis = np.transpose(pairs)
+    return synthetic.exact(np.array(weights)[:, None], thetas, str(patches), phis)
 
 
 def test_azimuths_that_were_not_measured_are_turned():

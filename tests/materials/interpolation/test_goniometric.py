@@ -49,12 +49,11 @@ def anisotropic(**settings):
     return synthetic.record(theta_i=theta_i, phi_i=phi_i, **settings)
 
 
-def one_patch(patch, theta_i, fraction=0.5, collector="projected:6x8"):
-    """Record whose light is in a single patch of each direction."""
-    weights = np.zeros((len(theta_i), *gonio.subdivision(collector).shape))
-    for number, place in enumerate(patch):
-        weights[(number, *place)] = fraction
-    return synthetic.exact(weights[:, None], theta_i, collector=collector)
+def drawn(seed, n):
+    """Random numbers of a sample."""
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(seed, n)
+    return sampler.next_1d(), sampler.next_2d()
 
 
 # --------------------------------------------------------------- it is the record
@@ -125,9 +124,7 @@ def test_weights_are_eval_over_density(plugin):
     bsdf = plugin(anisotropic(both=True))
     ctx = mi.BSDFContext(IMPORTANCE)
     si = interaction(40, 110)
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(3, 10_000)
-    bs, weight = bsdf.sample(ctx, si, sampler.next_1d(), sampler.next_2d())
+    bs, weight = bsdf.sample(ctx, si, *drawn(3, 10_000))
     value, pdf = bsdf.eval_pdf(ctx, si, bs.wo)
     assert np.array_equal(pdf.numpy(), bs.pdf.numpy())
     error = np.abs(value.numpy()[0] / pdf.numpy() - weight.numpy()[0])
@@ -171,14 +168,9 @@ def test_energy_is_linear_in_between(plugin, theta_i):
     lobe = [synthetic.specular(patches, theta, 180, 20) for theta in (30, 60)]
     weights = np.stack([0.25 * lobe[0], 0.75 * lobe[1]])[:, None]
     bsdf = plugin(synthetic.exact(weights, (30, 60), "projected:6x8"))
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(3, 1000)
-    _, weight = bsdf.sample(
-        mi.BSDFContext(IMPORTANCE),
-        interaction(theta_i),
-        sampler.next_1d(),
-        sampler.next_2d(),
-    )
+    numbers = drawn(3, 1000)
+    ctx = mi.BSDFContext(IMPORTANCE)
+    _, weight = bsdf.sample(ctx, interaction(theta_i), *numbers)
     low, high, sine = np.sin(np.radians([30, 60, theta_i]))
     share = (sine - low) / (high - low)
     expected = 0.25 + 0.5 * np.clip(share, 0, 1)
@@ -221,14 +213,8 @@ def test_colours_are_the_records(plugin):
     tolerated += EPS * record.flux_fraction[1].max() * record.subdivision.n_patches
     assert (error <= tolerated).all()
     half_way = np.degrees(np.arcsin(np.sin(np.radians([30, 60])).mean()))
-    measured = gonio.measure(
-        plugin(record),
-        half_way,
-        collector="projected:1x1",
-        rays=2**18,
-        batches=32,
-        sampler="independent",
-    )
+    how = {"collector": "projected:1x1", "sampler": "independent", "batches": 32}
+    measured = gonio.measure(plugin(record), half_way, rays=2**18, **how)
     fractions = record.flux_fraction[1:].sum(axis=(2, 3)).mean(axis=0)
     for hemisphere, channel in np.ndindex(2, 3):
         expected = fractions[hemisphere, channel].reshape(1, 1)
@@ -309,11 +295,9 @@ def test_radiance_mode_samples_follow_its_density(plugin):
         return total.reshape(batches, -1) / (n / batches)
 
     for side in (1, -1):
-        sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(11, n)
         si = interaction(40, 20, side)
-        bs, _ = bsdf.sample(ctx, si, sampler.next_1d(), sampler.next_2d())
-        drawn = shares(bs.wo.numpy().T.astype(float), None)
+        bs, _ = bsdf.sample(ctx, si, *drawn(11, n))
+        sampled = shares(bs.wo.numpy().T.astype(float), None)
         x = rng.random((3, n))
         wo = direction(np.arcsin(np.sqrt(x[0])), 2 * np.pi * x[1])
         wo[:, 2] *= np.where(x[2] < 0.5, -1, 1)
@@ -321,9 +305,9 @@ def test_radiance_mode_samples_follow_its_density(plugin):
         expected = shares(wo, 2 * np.pi * density / np.abs(wo[:, 2]))
         known = expected.mean(axis=0) > 0.01  # eighty rays of a batch
         assert known.any()
-        assert (drawn[:, expected.sum(axis=0) == 0] == 0).all()
+        assert (sampled[:, expected.sum(axis=0) == 0] == 0).all()
         for factor, judge in ((1, agree), (1.1, disagree)):
-            difference = (drawn - factor * expected)[:, known]
+            difference = (sampled - factor * expected)[:, known]
             std_err = difference.std(axis=0, ddof=1) / np.sqrt(batches)
             t = difference.mean(axis=0) / std_err
             judge(verdict(normal_scores(t, batches - 1)))
@@ -510,7 +494,7 @@ def test_missing_and_foreign_files_are_refused(tmp_path):
 
 
 def test_a_black_record_is_black(plugin):
-    bsdf = plugin(one_patch([(0, 0)], (30,), fraction=0.0))
+    bsdf = plugin(synthetic.exact(np.zeros((1, 1, 6, 8)), (30,), "projected:6x8"))
     bs, weight = bsdf.sample(
         mi.BSDFContext(IMPORTANCE), interaction(20), mi.Float(0.5), mi.Point2f(0.5)
     )
