@@ -30,32 +30,34 @@ def sampled(bsdf, theta_i=30.0, wrong=1.0, **settings):
     return MeasuredTable(zeros + theta_i, zeros, theta_o, phi_o, values, **settings)
 
 
+@pytest.fixture(scope="module")
+def metal():
+    """Record of a metal lobe in coarse patches."""
+    mi.set_variant("llvm_ad_mono")
+    return gonio.measure(METAL, 30, collector="projected:12x24", rays=2**18)
+
+
 @pytest.mark.parametrize("collector", ["projected:30x30", "angle:18x36", "klems"])
 @pytest.mark.parametrize("bsdf", [PLASTIC, METAL, {"type": "diffuse"}], ids=str)
 def test_a_brdf_at_points_is_not_said_to_differ_from_itself(bsdf, collector):
-    """Its values are exact, and the noise of the means is small."""
+    """Its values are exact, and the noise of the means is small; five per cent differ.
+
+    Those of the plastic, whose lobe these patches resolve.
+    """
     record = gonio.measure(bsdf, 30, collector=collector, rays=2**22)
     comparison = compare(record, sampled(bsdf), alpha=budget.ALPHA)
     assert comparison.verdict != "differ", str(comparison)
     assert any("means over patches stand for" in note for note in comparison.notes)
-
-
-@pytest.mark.parametrize("collector", ["projected:30x30", "angle:18x36", "klems"])
-def test_five_per_cent_are_told(collector):
-    record = gonio.measure(PLASTIC, 30, collector=collector, rays=2**22)
-    for wrong in (0.95, 1.05):
+    for wrong in (1.0, 0.95, 1.05) if bsdf is PLASTIC else ():
         table = sampled(PLASTIC, wrong=wrong, uncertainty=0.005)
         comparison = compare(record, table, alpha=budget.ALPHA)
-        assert comparison.verdict == "differ", str(comparison)
-    right = sampled(PLASTIC, uncertainty=0.005)
-    assert compare(record, right, alpha=budget.ALPHA).verdict != "differ"
+        assert (comparison.verdict == "differ") == (wrong != 1), str(comparison)
 
 
-def test_where_patches_cannot_decide_it_is_said(tmp_path, capsys):
-    """A metal lobe in coarse patches; the specimen itself decides, either way."""
-    record = gonio.measure(METAL, 30, collector="projected:12x24", rays=2**18)
+def test_where_patches_cannot_decide_it_is_said(metal, tmp_path, capsys):
+    """The specimen itself decides, either way."""
     path, table = tmp_path / "run.npz", tmp_path / "points.csv"
-    record.save(path)
+    metal.save(path)
     for wrong, code in ((1.0, 0), (1.05, 3)):
         stated = {"uncertainty": 0.005, "aperture_half_angle": 0.5}
         sampled(METAL, wrong=wrong, **stated).save(table)
@@ -69,26 +71,24 @@ def test_where_patches_cannot_decide_it_is_said(tmp_path, capsys):
         capsys.readouterr()
 
 
-def test_no_verdict_calls_equal_what_patches_cannot_decide():
+def test_no_verdict_calls_equal_what_patches_cannot_decide(metal):
     """A fifth too bright all over; twin: twice as bright is told."""
-    record = gonio.measure(METAL, 30, collector="projected:12x24", rays=2**18)
     undecided = "cannot be decided with these patches"
     verdicts = ("undecided", undecided), ("differ", "DIFFER")
     for wrong, (verdict, words) in zip((1.2, 2.0), verdicts):
         table = sampled(METAL, wrong=wrong, uncertainty=0.02)
-        comparison = compare(record, table, alpha=budget.ALPHA)
+        comparison = compare(metal, table, alpha=budget.ALPHA)
         assert comparison.verdict == verdict
         assert f"points: {verdict}, p" in repr(comparison)
         title = comparison_figure(comparison).get_suptitle()
         assert title.startswith((f"{words}: p = ", f"{words}: p < "))
 
 
-def test_agreement_is_no_closer_than_patches_tell(tmp_path, capsys):
+def test_agreement_is_no_closer_than_patches_tell(metal, tmp_path, capsys):
     """Exact: text and picture say so; twin: of detectors at the points they do not."""
-    record = gonio.measure(METAL, 30, collector="projected:12x24", rays=2**18)
     table = sampled(METAL, uncertainty=0.5)
     words = "agree within what these patches can decide: p = "
-    comparison = compare(record, table)
+    comparison = compare(metal, table)
     assert f"verdict     {words}" in str(comparison)
     assert comparison_figure(comparison).get_suptitle().startswith(words)
     table.save(tmp_path / "points.csv")
