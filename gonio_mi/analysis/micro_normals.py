@@ -333,7 +333,7 @@ def micro_normals(
     points = checked_count("points", points, 1000, 2**26)
     blocks = checked_count("blocks", blocks, 2, 64)
     seed = checked_count("seed", seed, 0)
-    limits = (0, 90, "an angle in degrees in [0, 90)")
+    limits = (0.0, 90.0, "an angle in degrees in [0, 90)")
     thetas = [checked_number("theta", one, *limits) for one in theta]
     limits = (-1e6, 1e6, "an angle in degrees")
     phis = [checked_number("phi", one, *limits) for one in phi]

@@ -250,7 +250,8 @@ def _paired(
         checked_number(name, value or 0, *NUMBERS[name])
         for name, value in given.items()
     )
-    compared, notes = labels(record, other), []
+    compared = labels(record, other)
+    notes: list[str] = []
     if record.polarised and other.polarised:
         record, other = _as_channels(record), _as_channels(other)
     elif record.polarised or other.polarised:

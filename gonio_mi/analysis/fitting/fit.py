@@ -23,7 +23,7 @@ from ...results.record import Record, wavelengths_nm
 from ...transport.kernels import launches_kernels
 from ..comparison.comparison import known
 from .least_squares import FittedModel, Search
-from .observations import RecordObservations, TableObservations
+from .observations import Observations, RecordObservations, TableObservations
 
 # Rounds of refined nodes and weights; a round is the last that moves no parameter by
 # more than a part of its uncertainty, or of itself, which no node would notice.
@@ -92,12 +92,15 @@ def fit(
         "aperture_half_angle": aperture_half_angle,
     }
     record = _as_told(record, {k: v for k, v in told.items() if v is not None})
+    observations: list[Observations] = []
+    channels: tuple[str, ...] = ("Y",)
     if isinstance(record, MeasuredTable):
         _check_table(record)
-        observations, channels = [TableObservations(record)], ("Y",)
+        observations.append(TableObservations(record))
     else:
         _check(record)
-        observations, channels = list(map(RecordObservations, record)), record.channels
+        observations += map(RecordObservations, record)
+        channels = record.channels
     fitted = FittedModel(bsdf, free, channels)
     with bar(progress, desc=f"fit of {bsdf['type']}", unit="prediction") as report:
         search = Search(observations, fitted, report)

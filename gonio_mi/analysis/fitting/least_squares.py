@@ -326,7 +326,8 @@ class FittedModel:
     @property
     def limits(self) -> tuple[Floats, Floats]:
         """The lower and the upper limits of the parameters."""
-        return tuple(np.array([(p.low, p.high) for p in self.parameters]).T)
+        low, high = np.array([(p.low, p.high) for p in self.parameters]).T
+        return low, high
 
     def starts(self) -> list[Floats]:
         """Values from which to begin: all of a roughness, the first of others."""
