@@ -288,10 +288,8 @@ def resampled(
     for chunk in counted(chunks, progress, desc="resample", unit="part"):
         theta, phi = (angles.ravel() for angles in chunk)
         # values at all points of exit for each of the incident directions
-        theta_each, phi_each = (
-            np.repeat(angles, len(exits)) for angles in (theta, phi)
-        )
-        values = material.values(theta_each, phi_each, np.tile(exits, (len(theta), 1)))
+        thetas, phis = (np.repeat(angles, len(exits)) for angles in (theta, phi))
+        values = material.values(thetas, phis, np.tile(exits, (len(theta), 1)))
         shape = len(theta), *wo.shape[:2], values.shape[-1]
         flux = projected * values.reshape(shape).mean(axis=2)
         total, peak = material.totals(hemisphere, theta, phi)
