@@ -8,7 +8,7 @@ import logging
 import shutil
 import tempfile
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -149,7 +149,8 @@ class WholeBsdf:
 
     def _refine_axis(self, axis: Axis, limit: float) -> None:
         """Refine polar angles or azimuths, as far as middles of intervals tell."""
-        errors_at, of = self._errors_of_gaps, "azimuths"
+        errors_at: Callable[..., list[float]] = self._errors_of_gaps
+        of = "azimuths"
         if axis is self.rings.segments:
             errors_at, of = self._errors_of_segments, "angles"
         try:

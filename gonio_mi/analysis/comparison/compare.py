@@ -251,13 +251,13 @@ def _paired(
         for name, value in given.items()
     )
     compared = labels(record, other)
-    notes: list[str] = []
+    told: list[str] = []
     if record.polarised and other.polarised:
         record, other = _as_channels(record), _as_channels(other)
     elif record.polarised or other.polarised:
-        notes.append("one record has no Mueller matrices: M00 is compared")
-    sets, more = pair_with_record(record, other, relative)
-    return sets, notes + more, compared, scale
+        told.append("one record has no Mueller matrices: M00 is compared")
+    sets, notes = pair_with_record(record, other, relative)
+    return sets, told + notes, compared, scale
 
 
 def _as_channels(record: Record) -> Record:
