@@ -91,16 +91,8 @@ def pair_with_table(
 
     Points of patches whose variation is not known are left out, with a note.
     """
-    notes = list(table.notes)
+    notes = [*table.notes, *_stated(table)]
     errors = table.bsdf_std_err
-    if not (errors.any() or table.scale_uncertainty):
-        stated = "no uncertainty" if table.sigma is None else "an uncertainty of 0"
-        notes.append(f"{table.name} states {stated}: {NO_UNCERTAINTY}")
-    if table.sigma is not None and table.uncertainty:
-        notes.append(
-            f"the uncertainty of {table.uncertainty:.3g} of each value adds to that of "
-            "the column in quadrature"
-        )
     sets = []
     hemisphere = int(table.quantity == "btdf")
     v = direction(np.radians(pole_angle(table.theta_o)), np.radians(table.phi_o))
@@ -154,6 +146,20 @@ def pair_with_table(
         raise SettingError(_lacking(records, table, int(np.argmax(left))))
     _tell_coarse(records[0], table, coarse, notes)
     return sets, list(dict.fromkeys(notes))
+
+
+def _stated(table: MeasuredTable) -> list[str]:
+    """Notes on the uncertainties that a table states, or does not."""
+    notes = []
+    if not (table.bsdf_std_err.any() or table.scale_uncertainty):
+        stated = "no uncertainty" if table.sigma is None else "an uncertainty of 0"
+        notes.append(f"{table.name} states {stated}: {NO_UNCERTAINTY}")
+    if table.sigma is not None and table.uncertainty:
+        notes.append(
+            f"the uncertainty of {table.uncertainty:.3g} of each value adds to that of "
+            "the column in quadrature"
+        )
+    return notes
 
 
 def _stand_for_points(patches: Any, table: MeasuredTable) -> bool:
