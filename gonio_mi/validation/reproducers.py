@@ -10,8 +10,11 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+import textwrap
+from collections.abc import Mapping
+from functools import cache
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
@@ -22,8 +25,8 @@ from ..files import replacing
 from ..instrument.specimen_text import with_real_indices
 from ..single_precision import BSDF_ROUNDING
 from ..transport.variants import unpolarised
-from .conditions import POSITION, TURN, Condition, Sweep
-from .kinds import LIT, PDF, PRODUCT, SMOOTH, VALUE, Kind, MatrixKind, each
+from .conditions import POSITION, TURN, WAVELENGTHS_NM, Condition, Sweep
+from .kinds import Kind, MatrixKind
 from .maps import FourMaps
 from .verdict import Property, Verdict
 
@@ -52,30 +55,44 @@ ROUGHLY = 1e-4
 # Corners of the whole sphere, in the unit square.
 EVERYWHERE = ([0.0, 0.0], [1.0, 1.0])
 
-# What is counted in a patch, and of all directions.
-COUNTED = {
-    Kind.SAMPLING: Kind.MOMENTS,
-    Kind.WEIGHTS: Kind.MOMENTS_OF_WEIGHTS,
+# Files of parts of scripts.
+SCRIPTS = Path(__file__).with_name("scripts")
+
+# What a mean over samples counts, and the density that it should follow: of directions,
+# of those where `eval` is not zero, and of weights.
+OF_SAMPLES = {"DRAWN": "np.array(smooth())", "DENSITY": "pdf(wo)"}
+OF_LIT_SAMPLES = {
+    "DRAWN": "(value(bs.wo) > 0).any(axis=0)",
+    "DENSITY": "pdf(wo) * (value(wo) > 0).any(axis=0)",
+}
+OF_WEIGHTS = {
+    "DRAWN": "np.where(smooth(), np.atleast_2d(weight).mean(axis=0), 0)",
+    "DENSITY": "value(wo).mean(axis=0)",
+}
+
+# Parts of other kinds, with other words.
+PARTS = {Kind.WEIGHTS: "SAMPLING", Kind.LENGTH_AT_AN_END: "ENDS"}
+
+# What phase functions have instead.
+IN_A_MEDIUM = {
+    "bsdf": "phase",
+    "si": "mei",
+    "SPECTRUM": "phase.eval_pdf(ctx, mei, bs.wo, True)[0]",
 }
 
 # Answers of functions, of `eval` if no other, and of `sample` by what a finding is
 # about.
 ANSWERS = {
-    "sample": "bsdf.sample(ctx, si, RANDOM, True)[1]",
+    "eval": "bsdf.eval(ctx, si, wo, True)",
     "pdf": "bsdf.pdf(ctx, si, wo, True)",
     "eval_pdf": "bsdf.eval_pdf(ctx, si, wo, True)[0]",
+    "sample": "bsdf.sample(ctx, si, mi.Float(u[0]), mi.Point2f(u[1:]), True)[1]",
 }
 SAMPLED = {"weight": "weight", "pdf": "bs.pdf", "direction": "dr.abs(bs.wo)"}
 
 # What functions follow a change of a parameter, if not all.
-STALE = {"sample": ("bs.pdf", PDF), "pdf": (PDF, "bs.pdf")}
-
-# What stands for longer text in templates. Others are filled in by `_words`.
-WORDS = {
-    "RANDOM": "mi.Float(u[0]), mi.Point2f(u[1:])",
-    "ROUNDING": f"{BSDF_ROUNDING:.2g}",
-    "SPHERE": "mi.warp.square_to_uniform_sphere(mi.Point2f(u[1:]))",
-}
+STALE = {"sample": ("bs.pdf", "pdf(bs.wo)"), "pdf": ("pdf(bs.wo)", "bs.pdf")}
+PRODUCT = ("np.atleast_2d(weight) * pdf(bs.wo)", "value(bs.wo)")
 
 
 def reproducer(verdict: Verdict, name: str | None = None) -> str:
@@ -131,157 +148,182 @@ def save_reproducer(verdict: Verdict, path: str | PathLike[str]) -> None:
 def script(verdict: Verdict, one: Property) -> str:
     """The script that shows a property that fails."""
     kind = one.kind or Kind[one.name.upper()]
-    condition = one.condition or ANYWHERE
+    condition, part = _condition(one), PARTS.get(kind, kind.name)
     words = _words(verdict, one, kind)
-    if kind in COUNTED:
+    if part == "SAMPLING":
         maps, corners = _box(verdict, one.name)
         condition = maps.condition if maps else condition
-        words |= _counted(maps, corners, kind)
-        kind = COUNTED[kind] if corners == EVERYWHERE else kind
-    if isinstance(condition, Sweep):
-        condition = ANYWHERE
-    body = kind.value
-    for word, text in (words | WORDS).items():
-        body = text.join(re.split(rf"\b{word}\b", body))
-    n = "2**20" if "standard errors" in body else "2**16"
-    n = "27" if one.name == "ends" else n
-    lines = list(_head(verdict, one, condition, n))
+        part = "moments_apart" if corners == EVERYWHERE else part
+        rounded = [[[float(f"{x:.9g}")] for x in corner] for corner in corners]
+        words["CORNERS"] = str(rounded)
+        if kind is Kind.SAMPLING and maps and maps.due.unused.values.sum() > UNUSED:
+            words |= OF_LIT_SAMPLES
+    given = parts("matrix" if isinstance(kind, MatrixKind) else flavour(one.of_volumes))
+    words = _place(verdict, one, condition) | words
+    words["COUNT"] = "2**20" if "standard errors" in given[part] else "2**16"
+    words |= {"COUNT": "27"} if part == "ENDS" else {}
+    head = _setting(verdict, condition, given) + given["random"] + given["sample"]
     if kind is MatrixKind.FIRST_ELEMENT:
-        lines = list(_in_both_variants(lines, words["FLUX"]))
-    text = "\n".join([*lines, body]) + "\n"
-    if "rng." not in body:
-        rng = "np.random.default_rng(0)"
-        text = text.replace(f"rng = {rng}\nu = rng", f"u = {rng}")
-    if mi.is_polarized and isinstance(kind, Kind):
-        text = of_first_elements(text)
-    return in_a_medium(text) if one.of_volumes else text
+        both = mi.variant(), unpolarised(mi.variant())
+        head = _filled(head + given["first element"], words | {"VARIANT": "variant"})
+        head = f"values = []\nfor variant in {both}:\n{textwrap.indent(head, '    ')}"
+    return composed(given, given["title"] + given["imports"] + head, part, words)
 
 
-def _counted(maps: FourMaps | None, corners: Any, kind: Kind) -> dict[str, str]:
-    """Words of a template that compares samples and integrals in a box."""
-    counted = LIT if maps and not maps.totals.delta_mean.any() else SMOOTH
-    density = "bsdf.pdf(ctx, si, wo, True)"
-    dark = maps.due.unused.values.sum() if maps else 0.0
-    if kind is Kind.SAMPLING and dark > UNUSED:
-        counted = "dr.any(bsdf.eval(ctx, si, bs.wo, True) > 0)"
-        density = f"dr.select(dr.any(bsdf.eval(ctx, si, wo, True) > 0), {density}, 0)"
-    rounded = [[[float(f"{x:.9g}")] for x in corner] for corner in corners]
-    return {"CORNERS": str(rounded), "COUNTED": counted, "DENSITY": density}
+def by_lattices(verdict: Verdict, one: Property) -> str:
+    """The same of the total of samples or weights, by lattices of directions."""
+    given, condition = parts(flavour(one.of_volumes)), _condition(one)
+    words = _place(verdict, one, condition) | {"COUNT": "2**16"}
+    words |= _words(verdict, one, Kind[one.name.upper()])
+    head = given["title"] + given["imports"] + _setting(verdict, condition, given)
+    return composed(given, head, "lattices", words)
 
 
-def _words(verdict: Verdict, one: Property, kind: Kind | MatrixKind) -> dict[str, str]:
-    """Text that replaces each word of a template for one finding."""
-    guilty = str(one.function or verdict.function or "eval").split(" or ")[0]
-    if kind is Kind.UPDATE:
-        guilty = one.about
-    answer = ANSWERS.get(guilty, "bsdf.eval(ctx, si, wo, True)")
-    function = answer.replace(", wo,", ", bs.wo,")
-    about, samples = one.about, guilty == "sample"
-    if kind in (Kind.ANSWERS, Kind.ENDS):
-        about = SAMPLED[about] if samples else answer
-    stale = STALE.get(guilty, (PRODUCT, VALUE))
-    excluded = "((bs.sampled_type & int(bsdf.flags(i)) & 0x7E) != 0)"
+def in_two_variants(variant: str, source: str, of_volumes: bool) -> str:
+    """Script that compares a scalar variant with LLVM's."""
+    given = dict(parts(flavour(of_volumes)))
+    if mi.is_spectral:
+        colours = textwrap.indent(given["wavelengths"], "    ")
+        given["variants"] = re.sub(r"(?=    value =)", colours, given["variants"])
+    llvm = variant.replace("scalar", "llvm_ad")
+    words = {
+        "VARIANTS": f"({llvm!r}, [x], 0), ({variant!r}, x.T.tolist(), None)",
+        "AXES": "mei.wi" if of_volumes else "[0, 0, 1]",
+        "SOURCE": source,
+        "NM": str(list(WAVELENGTHS_NM)),
+        "ROUNDING": f"{BSDF_ROUNDING:.2g}",
+    }
+    words |= IN_A_MEDIUM if of_volumes else {}
+    return given["imports"] + _filled(given["variants"], words)
+
+
+def flavour(of_volumes: bool) -> str:
+    """Which parts stand for those of surfaces: ``medium``, ``polarised`` or none."""
+    return "medium" if of_volumes else "polarised" if mi.is_polarized else "surface"
+
+
+@cache
+def parts(own: str) -> dict[str, str]:
+    """Lines of the parts of scripts by name, each followed by those that it asks for.
+
+    Parts whose name begins with `own` stand for those without, also inside of others.
+    """
+    lines, followed = {}, {}
+    for path in sorted(SCRIPTS.glob("*.py")):
+        text = path.read_text(encoding="utf-8")
+        _, *found = re.split(r"^# %% (.*)\n", text, flags=re.MULTILINE)
+        for heading, body in zip(found[::2], found[1::2]):
+            name, _, others = heading.partition(":")
+            lines[name], followed[name] = body.strip("\n") + "\n", others.split()
+    for name in [one for one in lines if one.startswith(f"{own} ")]:
+        usual = name.removeprefix(f"{own} ")
+        rows = map(re.escape, lines.get(usual, "\n").splitlines(keepends=True))
+        margin = re.compile(r"^( *)" + r"\1".join(rows), re.MULTILINE)
+        for other in [one for one in lines if not one.startswith(f"{own} ")]:
+            instead = textwrap.indent(lines[name], r"\1")
+            lines[other] = margin.sub(instead, lines[other])
+        lines[usual], followed[usual] = lines[name], followed[name]
     return {
-        "ABOUT": about,
-        "NORMAL": about or "[0, 0, 1]",
-        "STALE": stale[0],
-        "DUE": stale[1],
-        "INDEX": str(int(about == "pdf")),
-        "TURNED": answer.replace("[1]", "[0].wo") if samples else function,
-        "EXCLUDED": excluded if samples else "(bsdf.component_count() == 1)",
-        "MASKED": re.sub(r"True\)(\[\d\])?$", r"awake)\1", function),
-        "FLUX": "weight * bs.pdf" if samples else function,
-        "FUNCTION": function,
-        "ANSWER": answer,
+        name: body + "".join(lines[other] for other in followed[name])
+        for name, body in lines.items()
     }
 
 
-def _in_both_variants(lines: Sequence[str], value: str) -> Iterator[str]:
-    """Lines up to the samples, in a loop over the polarised and the plain variant."""
-    start = next(i for i, line in enumerate(lines) if "set_variant" in line)
-    yield from lines[:start]
-    yield "values = []"
-    yield f"for variant in {mi.variant(), unpolarised(mi.variant())}:"
-    yield "    mi.set_variant(variant)"
-    yield from (
-        f"    {line}" for text in lines[start + 1 :] for line in text.split("\n")
-    )
-    first = f"mi.unpolarized_spectrum({value})"
-    yield f"    values += [{each(first)}]"
+def composed(
+    given: Mapping[str, str], head: str, part: str, words: Mapping[str, str]
+) -> str:
+    """Script of a head, the definitions that a part uses, and this, with all words."""
+    body = _filled(given[part], words)
+    for name, lines in reversed(given.items()):
+        defined, _, function = name.removeprefix("define ").partition(" of ")
+        if not name.startswith("define ") or function not in ("", words["GUILTY"]):
+            continue
+        if re.search(rf"(?m)^[^#]*(?<![.\w]){defined}\b(?! =)", body):
+            body = _filled(lines, words) + body
+    return _filled(head, words) + body
 
 
-def of_first_elements(text: str) -> str:
-    """Script that compares first elements where values are Mueller matrices."""
-    first = "mi.unpolarized_spectrum"
-    text = re.sub(r"(bsdf\.eval\([^()]*(?:\([^()]*\)[^()]*)*\))", rf"{first}(\1)", text)
+def _filled(lines: str, words: Mapping[str, str]) -> str:
+    """Lines with words in capitals, and some names, replaced."""
     return re.sub(
-        r"^( *)(.*), weight = (bsdf\.sample.*)$",
-        rf"\1\2, weight = \3\n\1weight = {first}(weight)",
-        text,
-        flags=re.MULTILINE,
+        r"(\b\w+ = (?=SOURCE))?\b([A-Z][A-Z_]+|bsdf|si)\b",
+        lambda found: words.get(found[2], found[0]),
+        lines,
     )
 
 
-def in_a_medium(text: str) -> str:
-    """Script that asks a phase function instead of a BSDF."""
-    for found, instead in (
-        (r" & ~mi.has_flag\(bs.sampled_type, mi.BSDFFlags.Delta\)", ""),
-        (r"mi.BSDFContext\((.*?)\)", r"mi.PhaseFunctionContext(None, \1)"),
-        (r"SurfaceInteraction3f", "MediumInteraction3f"),
-        (r"si.wi, si.sh_frame = (.*), mi.Frame3f.*", r"si.wi = \1"),
-        (
-            r"si.uv, si.p, .*(mi.Point3f\(.*?\)), .*\n",
-            r"si.p, si.sh_frame = \1, mi.Frame3f(si.wi)\n",
-        ),
-        (r"si.uv, .*\n", "si.sh_frame = mi.Frame3f(si.wi)\n"),
-        (r"bs, weight = bsdf", "flight, weight, density = bsdf"),
-        (r"bs\.wo", "flight"),
-        (r"bs\.pdf", "density"),
-        (r"bsdf\.eval\((ctx, \w+, [^()]+)\)", r"bsdf.eval_pdf(\1)[0]"),
-        (r"bsdf\.pdf\((ctx, \w+, [^()]+)\)", r"bsdf.eval_pdf(\1)[1]"),
-        (r"\bbsdf\b", "phase"),
-        (r"\bsi\b", "mei"),
-    ):
-        text = re.sub(found, instead, text)
-    return text
+def _words(verdict: Verdict, one: Property, kind: Kind | MatrixKind) -> dict[str, str]:
+    """Text that replaces words in capitals, for what a finding is about."""
+    guilty = str(one.function or verdict.function or "eval").split(" or ")[0]
+    guilty = one.about if kind is Kind.UPDATE else guilty
+    guilty = guilty if guilty in ANSWERS else "eval"
+    about, samples, answer = one.about, guilty == "sample", ANSWERS[guilty]
+    quantity = SAMPLED.get(about, "weight") if samples else "answer(wo)"
+    if kind is Kind.LENGTH_AT_AN_END:
+        quantity = "1e-3 - abs(dr.norm(bs.wo) - 1)"
+    stale, expected = STALE.get(guilty, PRODUCT)
+    excluded = "(bs.sampled_type & int(bsdf.flags(i)) & 0x7E) != 0"
+    words = {
+        "GUILTY": guilty,
+        "ABOUT": about,
+        "NORMAL": about or "[0, 0, 1]",
+        "STALE": stale,
+        "EXPECTED": expected,
+        "INDEX": str(int(about == "pdf")),
+        "EITHER": "pdf" if about == "pdf" else "value",
+        "TURNED": answer.replace("[1]", "[0].wo") if samples else "answer(bs.wo)",
+        "EXCLUDED": excluded if samples else "bsdf.component_count() == 1",
+        "FLUX": "weight * bs.pdf" if samples else answer.replace("wo,", "bs.wo,"),
+        "QUANTITY": quantity,
+        "SPECTRUM": "bsdf.eval(ctx, si, bs.wo, True)",
+        "ANSWER": answer,
+    }
+    words |= OF_WEIGHTS if one.name == "weights" else OF_SAMPLES
+    if one.of_volumes:
+        words = {name: _filled(text, IN_A_MEDIUM) for name, text in words.items()}
+        words |= IN_A_MEDIUM
+    return words
 
 
-def _head(
-    verdict: Verdict, one: Property, condition: Condition, n: str
-) -> Iterator[str]:
-    """Lines of a script up to the samples."""
-    title = f"{verdict.name}: {one.mistake or verdict.mistake or one.question}"
-    yield f"# {title} ({condition})"
-    yield f"# Two numbers that should be equal where {one.question or 'it is right'}."
-    yield f"# A rounding is {BSDF_ROUNDING:.2g}: 1024 operations in single precision."
-    yield "import drjit as dr\nimport mitsuba as mi\nimport numpy as np\n"
-    yield f'mi.set_variant("{verdict.settings["variant"]}")'
-    yield str(verdict.source)
-    mode = f"mi.TransportMode.{condition.mode.capitalize()}"
-    yield f"ctx, n = mi.BSDFContext({mode}), {n}"
-    if condition.component is not None:
-        yield f"ctx.component = {condition.component}"
-    yield "si = dr.zeros(mi.SurfaceInteraction3f, n)"
-    axes = "[0, 0, 1]"
-    if condition.turned and _is_textured(verdict):
-        axes = ", ".join(map(str, TURN.T.round(7).tolist()))
-    wi = [float(f"{x:.8g}") for x in condition.wi]
-    yield f"si.wi, si.sh_frame = mi.Vector3f({wi}), mi.Frame3f({axes})"
-    if _is_textured(verdict):
-        u, v = condition.uv
-        tangents = "2 * si.sh_frame.s, 2 * si.sh_frame.t"
-        p = ", si.p", f", mi.Point3f({POSITION.tolist()})"
-        name, value = p if condition.turned else ("", "")
-        uv = f"mi.Point2f({u}, {v})"
-        yield f"si.uv{name}, si.dp_du, si.dp_dv = {uv}{value}, {tangents}"
-    if condition.differentials:
-        yield "si.duv_dx, si.duv_dy = mi.Vector2f(0.3, 0.1), mi.Vector2f(-0.1, 0.2)"
-    if mi.is_spectral:
-        yield f"si.wavelengths = mi.Spectrum({list(condition.nm)})"
-    yield "dr.make_opaque(si)"
-    yield "rng = np.random.default_rng(0)"
-    yield "u = rng.random((3, n), dtype=np.float32)"
-    yield "bs, weight = bsdf.sample(ctx, si, mi.Float(u[0]), mi.Point2f(u[1:]), True)"
+def _place(verdict: Verdict, one: Property, condition: Condition) -> dict[str, str]:
+    """Text that replaces words in capitals, for where a finding is."""
+    textured = _is_textured(verdict)
+    axes = TURN.T.round(7).tolist() if condition.turned and textured else [[0, 0, 1]]
+    return {
+        "TITLE": f"{verdict.name}: {one.mistake or verdict.mistake or one.question}",
+        "CONDITION": str(condition),
+        "QUESTION": one.question or "it is right",
+        "ROUNDING": f"{BSDF_ROUNDING:.2g}",
+        "VARIANT": f'"{verdict.settings["variant"]}"',
+        "SOURCE": str(verdict.source),
+        "MODE": condition.mode.capitalize(),
+        "COMPONENT": str(condition.component),
+        "WI": str([float(f"{x:.8g}") for x in condition.wi]),
+        "AXES": ", ".join(map(str, axes)),
+        "UV": "{}, {}".format(*condition.uv),
+        "POSITION": str(POSITION.tolist() if condition.turned else [0, 0, 0]),
+        "NM": str(list(condition.nm)),
+    }
+
+
+def _condition(one: Property) -> Condition:
+    """Where a finding is, or anywhere if it is everywhere."""
+    swept = one.condition is None or isinstance(one.condition, Sweep)
+    return ANYWHERE if swept else one.condition
+
+
+def _setting(verdict: Verdict, condition: Condition, given: Mapping[str, str]) -> str:
+    """Lines of a script from the variant to the surface interaction."""
+    textured = _is_textured(verdict) and "phase" not in given["interaction"]
+    used = {
+        "component": condition.component is not None,
+        "texture": textured,
+        "position": textured and condition.turned,
+        "differentials": condition.differentials,
+        "wavelengths": mi.is_spectral,
+    }
+    names = ["variant", "interaction", *(k for k, on in used.items() if on)]
+    return "".join(map(given.__getitem__, names))
 
 
 def _is_textured(verdict: Verdict) -> bool:

@@ -31,10 +31,8 @@ from ...campaigns.measure import measure
 from ...errors import SettingError, SpecimenError
 from ...progress import bar
 from ...reports.page import folded, preformatted, save_page, table
-from ..conditions import WAVELENGTHS_NM
 from ..evidence import PHASE, PROPERTIES
-from ..kinds import LIT, SMOOTH
-from ..reproducers import ANYWHERE, in_a_medium, of_first_elements, script, source_of
+from ..reproducers import ANYWHERE, by_lattices, in_two_variants, script, source_of
 from ..verdict import FAILS, Property, Verdict
 from .asking import answers_of
 from .stock import bsdfs, phase_functions, word_of
@@ -73,63 +71,6 @@ MEASURED: tuple[dict[str, Any], ...] = (
     {"alpha": 0.3, "distribution": "ggx"},
     {"alpha": 0.6},
 )
-
-# The total and the mean direction of samples, and of what they should follow, by 16
-# randomly shifted lattices: far sharper than independent samples, so that 2^16 points
-# do. An error of 2^-17 is that of which the limit of 8 is a thousand roundings.
-LATTICES = """\
-moments = lambda wo: np.stack([x + np.zeros(n) for x in (1, *np.array(wo))])
-rng, both, steps = np.random.default_rng(0), [], [[1 / n], [0.618034], [0.754878]]
-for u in (np.arange(n) * steps + rng.random((16, 3, 1))) % 1 * (1 - 2**-24):
-    bs, weight = bsdf.sample(ctx, si, mi.Float(u[0]), mi.Point2f(u[1:]), True)
-    drawn = np.where(np.array(SMOOTH), DRAWN * moments(bs.wo), 0)
-    wo = mi.warp.square_to_uniform_sphere(mi.Point2f(u[:2]))
-    due = 4 * np.pi * DENSITY * moments(wo)
-    both += [[drawn.mean(axis=1), due.mean(axis=1)]]
-a, b = np.mean(both, axis=0)
-error = np.hypot(np.std(np.diff(both, axis=1)[:, 0], axis=0) / 15**0.5, 2**-17)
-a, b, error = np.transpose([a, b, error])[np.argmax(np.abs(a - b) / error)]
-print(f"{a:.6g} and {b:.6g}: {abs(a - b) / error:.3g} standard errors")
-"""
-
-# What is counted of samples, and the density that their mean should follow.
-INTEGRALS = {
-    "sampling": {"DRAWN": "1.0", "DENSITY": "np.array(bsdf.pdf(ctx, si, wo, True))"},
-    "weights": {
-        "DRAWN": "np.array(weight).mean(0)",
-        "DENSITY": "np.array(bsdf.eval(ctx, si, wo, True)).mean(0)",
-    },
-}
-
-# Scalar code is asked whether it answers as LLVM's, direction by direction: one number
-# in a hundred may be another, as where rounding chooses another lobe.
-SCALAR = """\
-import drjit as dr
-import mitsuba as mi
-import numpy as np
-
-def answers(ctx, x):
-    si = dr.zeros(mi.SurfaceInteraction3f)
-    wi, wo = (mi.warp.square_to_uniform_sphere(mi.Point2f(u)) for u in (x[:2], x[2:4]))
-    si.wi, si.sh_frame = wi, mi.Frame3f([0, 0, 1])
-    si.uv, si.dp_du, si.dp_dv = mi.Point2f(0.35, 0.6), [2, 0, 0], [0, 2, 0]
-    bs, weight = bsdf.sample(ctx, si, mi.Float(x[4]), mi.Point2f(x[5:]), True)
-    drawn = [dr.select(dr.any(weight != 0), y, 0) for y in (*bs.wo, bs.pdf)]
-    value, density = bsdf.eval(ctx, si, wo, True), bsdf.pdf(ctx, si, wo, True)
-    told = dr.sum(value), dr.sum(weight), density
-    return [np.array(y) + np.zeros(np.size(x[0])) for y in (*told, *drawn)]
-
-x, told = np.random.default_rng(0).random((7, 1000)), []
-for variant, lanes in (("LLVM", [x]), ("SCALAR", x.T.tolist())):
-    mi.set_variant(variant)
-    SOURCE
-    told += [np.hstack([answers(mi.BSDFContext(), lane) for lane in lanes])]
-b, a = told
-off = np.abs(a - b) / np.maximum(np.maximum(np.abs(a), np.abs(b)), 1e-6)
-k = np.unravel_index(np.argsort(off, axis=None)[-off.size // 100], off.shape)
-print(f"{a[k]:.6g} and {b[k]:.6g}: {off[k] / 6.1e-5:.3g} roundings")
-"""
-
 
 STYLE = """<style>
 td { border-left: 1px solid var(--line); min-width: 15em; font-size: .85em; }
@@ -205,8 +146,7 @@ def questions(variant: str) -> Iterator[Question]:
         for one, k in ((one, k) for ones in plugins for k, one in enumerate(ones, 1)):
             word, source = word_of(one), str(source_of(one, volumes=volumes))
             if variant.startswith("scalar"):
-                text = _of_scalar_code(variant, source)
-                text = in_a_medium(text) if volumes else text
+                text = in_two_variants(variant, source, volumes)
                 asked = [("scalar and LLVM code", text)]
             else:
                 settings = {"variant": variant}
@@ -234,11 +174,9 @@ def _of_properties(
             about=about,
             of_volumes=volumes,
         )
-        text = script(verdict, found)
-        if name in INTEGRALS:
-            text = _by_lattices(text, name, volumes)
+        write = by_lattices if name in ("sampling", "weights") else script
         of = "" if name == function else f" of {function}"
-        yield f"{name}{of} at theta_i {theta_i}", text
+        yield f"{name}{of} at theta_i {theta_i}", write(verdict, found)
 
 
 def _measured() -> list[dict[str, Any]]:
@@ -270,26 +208,6 @@ def _materials() -> dict[str, str]:
                 ask("exchange", "export")(record, path)
                 files[path.name] = base64.b64encode(path.read_bytes()).decode()
     return files
-
-
-def _by_lattices(text: str, name: str, volumes: bool) -> str:
-    """Script of a property of samples that uses lattices instead."""
-    head = text.partition("rng = ")[0].replace("2**20", "2**16")
-    body = LATTICES
-    for word, instead in (INTEGRALS[name] | {"SMOOTH": SMOOTH, "LIT": LIT}).items():
-        body = body.replace(word, instead)
-    body = of_first_elements(body) if mi.is_polarized else body
-    return head + (in_a_medium(body) if volumes else body)
-
-
-def _of_scalar_code(variant: str, source: str) -> str:
-    """Script that compares a scalar variant with LLVM's."""
-    text = SCALAR.replace("SOURCE", source).replace('"SCALAR"', f'"{variant}"')
-    text = text.replace('"LLVM"', f'"{variant.replace("scalar", "llvm_ad")}"')
-    if mi.is_spectral:
-        wavelengths = f"    si.wavelengths = mi.Spectrum({list(WAVELENGTHS_NM)})\n"
-        text = text.replace("    bs, weight", wavelengths + "    bs, weight")
-    return of_first_elements(text) if mi.is_polarized else text
 
 
 def ask_versions(

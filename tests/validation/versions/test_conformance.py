@@ -64,6 +64,8 @@ def test_table(tmp_path):
         for one in answers
         if one.wrong
     }
+    silent = {one.question.plugin for one in answers if one.raised}
+    assert silent == {"no_such_phase_function"}
     # of microflakes those off the axes, with the right mass in other directions
     assert wrong == {
         ("roughdielectric", 2, "sampled_weight"),
