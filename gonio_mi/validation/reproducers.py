@@ -71,7 +71,10 @@ OF_WEIGHTS = {
 }
 
 # Parts of other kinds, with other words.
-PARTS = {Kind.WEIGHTS: "SAMPLING", Kind.LENGTH_AT_AN_END: "ENDS"}
+PARTS: dict[Kind | MatrixKind, str] = {
+    Kind.WEIGHTS: "SAMPLING",
+    Kind.LENGTH_AT_AN_END: "ENDS",
+}
 
 # What phase functions have instead.
 IN_A_MEDIUM = {
@@ -217,11 +220,12 @@ def parts(own: str) -> dict[str, str]:
             lines[name], followed[name] = body.strip("\n") + "\n", others.split()
     for name in [one for one in lines if one.startswith(f"{own} ")]:
         usual = name.removeprefix(f"{own} ")
-        rows = map(re.escape, lines.get(usual, "\n").splitlines(keepends=True))
-        margin = re.compile(r"^( *)" + r"\1".join(rows), re.MULTILINE)
-        for other in [one for one in lines if not one.startswith(f"{own} ")]:
+        if usual in lines:
+            rows = map(re.escape, lines[usual].splitlines(keepends=True))
+            margin = re.compile(r"^( *)" + r"\1".join(rows), re.MULTILINE)
             instead = textwrap.indent(lines[name], r"\1")
-            lines[other] = margin.sub(instead, lines[other])
+            for other in [one for one in lines if not one.startswith(f"{own} ")]:
+                lines[other] = margin.sub(instead, lines[other])
         lines[usual], followed[usual] = lines[name], followed[name]
     return {
         name: body + "".join(lines[other] for other in followed[name])
@@ -234,7 +238,7 @@ def composed(
 ) -> str:
     """Script of a head, the definitions that a part uses, and this, with all words."""
     body = _filled(given[part], words)
-    for name, lines in reversed(given.items()):
+    for name, lines in reversed(list(given.items())):
         defined, _, function = name.removeprefix("define ").partition(" of ")
         if not name.startswith("define ") or function not in ("", words["GUILTY"]):
             continue
@@ -260,7 +264,7 @@ def _words(verdict: Verdict, one: Property, kind: Kind | MatrixKind) -> dict[str
     about, samples, answer = one.about, guilty == "sample", ANSWERS[guilty]
     quantity = SAMPLED.get(about, "weight") if samples else "answer(wo)"
     if kind is Kind.LENGTH_AT_AN_END:
-        quantity = "1e-3 - abs(dr.norm(bs.wo) - 1)"
+        quantity = "1e-3 - dr.select(lit(), abs(dr.norm(bs.wo) - 1), 0)"
     stale, expected = STALE.get(guilty, PRODUCT)
     excluded = "(bs.sampled_type & int(bsdf.flags(i)) & 0x7E) != 0"
     words = {
@@ -308,8 +312,8 @@ def _place(verdict: Verdict, one: Property, condition: Condition) -> dict[str, s
 
 def _condition(one: Property) -> Condition:
     """Where a finding is, or anywhere if it is everywhere."""
-    swept = one.condition is None or isinstance(one.condition, Sweep)
-    return ANYWHERE if swept else one.condition
+    found = one.condition
+    return ANYWHERE if found is None or isinstance(found, Sweep) else found
 
 
 def _setting(verdict: Verdict, condition: Condition, given: Mapping[str, str]) -> str:

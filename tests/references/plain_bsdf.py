@@ -71,6 +71,19 @@ def plain():
     return Plain
 
 
+def changed(base, **changes):
+    """Dictionary of a plugin that has the functions of `base`, and other attributes.
+
+    `base` is a class of functions alone: a plugin has no second base.
+    """
+    own = {}
+    for one in reversed(base.__mro__[:-1]):
+        own |= vars(one)
+    own = {k: v for k, v in own.items() if k not in ("__dict__", "__weakref__")}
+    mi.register_bsdf("changed", type("Plugin", (mi.BSDF,), own | changes))
+    return {"type": "changed"}
+
+
 def register(plugins):
     """Register classes under their names, in small letters with underscores."""
     for plugin in plugins:

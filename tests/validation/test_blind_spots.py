@@ -9,6 +9,7 @@ from operator import or_
 import drjit as dr
 import mitsuba as mi
 import pytest
+from plain_bsdf import changed
 
 from gonio_mi.transport.bsdf_trial import PluginFault
 from gonio_mi.validation import reproducer, validate
@@ -69,18 +70,8 @@ class Matte:
         return "Matte[]"
 
 
-def specimen(base, **changes):
-    """Dictionary of a plugin with other attributes than `base`."""
-    own = {}
-    for one in reversed(base.__mro__[:-1]):
-        own |= vars(one)
-    own = {k: v for k, v in own.items() if k not in ("__dict__", "__weakref__")}
-    mi.register_bsdf("blind_spot", type("Plugin", (mi.BSDF,), own | changes))
-    return {"type": "blind_spot"}
-
-
 def verdict(base, **changes):
-    return validate(specimen(base, **changes), effort="quick")
+    return validate(changed(base, **changes), effort="quick")
 
 
 def difference(script):
@@ -95,7 +86,7 @@ def difference(script):
 def test_functions_get_a_mask_always():
     """Where `active` has no default, a call without it would raise."""
     assert verdict(Matte).passed
-    bsdf = mi.load_dict(specimen(Matte))
+    bsdf = mi.load_dict(changed(Matte))
     cost._call(bsdf, Condition(40.0))()
 
 
@@ -139,7 +130,7 @@ def test_answers_may_be_lists(kind):
     def sample(self, *asked):
         return kind(Matte.sample(self, *asked))
 
-    bsdf = mi.load_dict(specimen(Matte, sample=sample, eval_pdf=eval_pdf))
+    bsdf = mi.load_dict(changed(Matte, sample=sample, eval_pdf=eval_pdf))
     caller = Probe(mi.load_dict({"type": "mask", "bsdf": bsdf}), Condition(40.0))
     takes = contextlib.nullcontext() if kind is list else pytest.raises(PluginFault)
     with takes:
@@ -178,7 +169,7 @@ def test_time_is_that_of_one_call(kept):
         wi.z = dr.sqrt(wi.z)
         return mi.Spectrum(wi.z + wo.z) & active
 
-    call = cost._call(mi.load_dict(specimen(Matte, eval=evaluate)), Condition(40.0))
+    call = cost._call(mi.load_dict(changed(Matte, eval=evaluate)), Condition(40.0))
     call()
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()

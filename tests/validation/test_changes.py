@@ -4,6 +4,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from plain_bsdf import changed
 from reproduced import told
 
 from gonio_mi.validation import reproducer, validate
@@ -77,12 +78,7 @@ class Mixed:
 
 
 def verdict(base=Mixed, **changes):
-    own = {}
-    for one in reversed(base.__mro__[:-1]):
-        own |= vars(one)
-    own = {k: v for k, v in own.items() if k not in ("__dict__", "__weakref__")}
-    mi.register_bsdf("changing", type("Plugin", (mi.BSDF,), own | changes))
-    return validate({"type": "changing"}, effort="quick", strict=True)
+    return validate(changed(base, **changes), effort="quick", strict=True)
 
 
 def fixed(self, callback):

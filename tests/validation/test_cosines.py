@@ -6,8 +6,7 @@ anything, but for `eval` with wi and wo exchanged, and the density of what is dr
 
 import broken_bsdfs
 import pytest
-
-from gonio_mi.validation import validate
+from broken_bsdfs import judged
 
 # Plugin, and what is said of it.
 VALUES = [
@@ -34,7 +33,7 @@ def plugins(mono):
 @pytest.mark.usefixtures("plugins")
 @pytest.mark.parametrize(("name", "said"), VALUES)
 def test_a_wrong_cosine_is_a_mistake(name, said):
-    verdict = validate({"type": name}, effort="quick")
+    verdict = judged(name, "quick")
     assert not verdict.passed
     assert verdict.function == "eval"
     assert verdict.headline.startswith(f"{name}: FAILS: biases images. Most ")
@@ -45,7 +44,7 @@ def test_a_wrong_cosine_is_a_mistake(name, said):
 @pytest.mark.usefixtures("plugins")
 @pytest.mark.parametrize("name", MODELS)
 def test_another_law_is_a_property_of_the_model(name):
-    verdict = validate({"type": name}, effort="quick")
+    verdict = judged(name, "quick")
     assert verdict.passed, str(verdict)
     assert verdict["reciprocity"].status == "fails"
     assert verdict["reciprocity"].effect == "a property of the model"
@@ -59,7 +58,7 @@ def test_the_mistake_comes_before_its_symptom():
         ("bright_value_without_cosine", "`eval` lacks the cosine of wo", False),
         ("bright_facets", "`eval` gains light: ", True),
     ):
-        verdict = validate({"type": name}, effort="quick")
+        verdict = judged(name, "quick")
         assert verdict["energy"].status == "fails"
         assert said in verdict.headline
         assert verdict.passed == passed
@@ -67,7 +66,7 @@ def test_the_mistake_comes_before_its_symptom():
 
 @pytest.mark.usefixtures("plugins")
 def test_a_declared_law_passes():
-    verdict = validate({"type": "value_without_cosine_by_declaration"}, effort="quick")
+    verdict = judged("value_without_cosine_by_declaration", "quick")
     assert verdict["reciprocity"].status == "lacks"
     assert verdict.passed, str(verdict)
 
@@ -75,9 +74,9 @@ def test_a_declared_law_passes():
 @pytest.mark.usefixtures("plugins")
 def test_the_cosine_of_the_half_vector_is_recognised():
     """The twin is tilted as no list knows: either function may be wrong."""
-    known = validate({"type": "density_without_cosine_of_h"}, effort="quick")
+    known = judged("density_without_cosine_of_h", "quick")
     assert known.function == "pdf"
     assert known.mistake.startswith("`pdf` lacks the cosine of the half vector (")
-    twin = validate({"type": "density_tilted"}, effort="quick")
+    twin = judged("density_tilted", "quick")
     assert twin.function == "pdf or sample"
     assert twin.mistake.startswith("`sample` or `pdf`: directions are drawn with")

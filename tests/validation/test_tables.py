@@ -1,5 +1,7 @@
 """Verdicts on measured tables: piecewise, and large kernels."""
 
+from dataclasses import replace
+
 import budget
 import drjit as dr
 import mitsuba as mi
@@ -8,8 +10,11 @@ import pytest
 
 from gonio_mi import measure
 from gonio_mi.validation import validate
+from gonio_mi.validation.checks import sampled_pdf
 from gonio_mi.validation.conditions import Condition
+from gonio_mi.validation.evidence import Evidence
 from gonio_mi.validation.probe import Probe
+from gonio_mi.validation.samples import samples_of
 
 
 @pytest.fixture(scope="module")
@@ -35,35 +40,13 @@ def test_table_is_judged(table):
 
 def test_table_with_a_density_of_another_incidence_is_caught(table):
     """The twin of the test above: by a degree only."""
-    inner = mi.load_dict(table)
-
-    class Twin(mi.BSDF):
-        def __init__(self, props):
-            super().__init__(props)
-            self.m_components = [inner.flags(i) for i in range(2)]
-            self.m_flags = inner.flags()
-
-        def sample(self, ctx, si, sample1, sample2, active=True):
-            return inner.sample(ctx, si, sample1, sample2, active)
-
-        def eval(self, ctx, si, wo, active=True):
-            return inner.eval(ctx, si, wo, active)
-
-        def pdf(self, ctx, si, wo, active=True):
-            other = mi.SurfaceInteraction3f(si)
-            other.wi = dr.normalize(si.wi + mi.Vector3f(0.017, 0, 0))
-            return inner.pdf(ctx, other, wo, active)
-
-        def eval_pdf(self, ctx, si, wo, active=True):
-            return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
-
-        def to_string(self):
-            return "Twin"
-
-    mi.register_bsdf("table_twin", Twin)
-    verdict = validate({"type": "table_twin"}, effort="quick", allow="reciprocity")
-    assert not verdict.passed
-    assert verdict.function == "pdf", str(verdict)
+    bsdf, condition = mi.load_dict(table), Condition(40.0, 25.0)
+    samples, evidence = samples_of(bsdf, condition, 2**12, (0, 1)), Evidence(bsdf)
+    sampled_pdf.check_samples(evidence, samples)
+    assert not evidence.breaches
+    samples.pdf = Probe(bsdf, replace(condition, theta_i=41.0)).densities(samples.wo)
+    sampled_pdf.check_samples(evidence, samples)
+    assert evidence.of("sampled_pdf")
 
 
 def test_all_conditions_share_the_kernels_of_a_function(mono):
