@@ -10,8 +10,6 @@ import pytest
 from budget import agree, disagree, normal_scores, verdict
 from slabs import medium, stack
 
-pytestmark = pytest.mark.usefixtures("mono")
-
 RADII = [0.0, 0.1, 0.2, 0.4, 0.8, 1.6]
 
 

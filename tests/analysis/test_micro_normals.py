@@ -44,7 +44,6 @@ def found():
     return gonio.micro_normals(field(), points=2**16, theta=(40, 70, 80), phi=(0, 90))
 
 
-@pytest.mark.usefixtures("mono")
 def test_density_is_that_of_the_facets(found):
     """Counts of random points in rings; twin: the facets of another surface."""
     points = 2**16
@@ -62,7 +61,6 @@ def test_density_is_that_of_the_facets(found):
     disagree(verdict(1))
 
 
-@pytest.mark.usefixtures("mono")
 def test_alphas_are_those_of_the_heights(found):
     """Beckmann's alphas of the facets, which the heights have by difference quotients.
 
@@ -80,7 +78,6 @@ def test_alphas_are_those_of_the_heights(found):
     assert found.elsewhere["beckmann"] < found.elsewhere["ggx"] / 2
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_plane_is_seen_as_large_as_it_is(found):
     """Seen from afar, facets cover cos(theta) of the plane, whatever hides them.
 
@@ -106,7 +103,6 @@ def test_a_plane_is_seen_as_large_as_it_is(found):
             assert 0 < found.shadowing[i] < found.masking[i]
 
 
-@pytest.mark.usefixtures("mono")
 def test_grooves_hide_what_they_must():
     """V-grooves of 45 degrees from 60: a closed form; twin: 5 % off.
 
@@ -188,7 +184,6 @@ def test_alphas_of_grooves():
         np.testing.assert_allclose(found, 0.5 * np.sqrt(2), rtol=1e-6)
 
 
-@pytest.mark.usefixtures("mono")
 def test_other_shapes_have_normals_too():
     """A sphere: its points are as many in each solid angle; twin: as on a plane."""
     found = gonio.micro_normals({"type": "sphere"}, points=2**14, theta=(0,), phi=(0,))
@@ -200,7 +195,6 @@ def test_other_shapes_have_normals_too():
     disagree(count_verdict(counts, np.diff(np.sin(edges) ** 2)))
 
 
-@pytest.mark.usefixtures("mono")
 def test_bad_input_is_one_sentence():
     with pytest.raises(ValueError, match="blocks must be at least 2"):
         gonio.micro_normals(field(), blocks=1)
@@ -230,7 +224,6 @@ def test_command(tmp_path, capfd):
     assert (tmp_path / "a.png").stat().st_size > 10_000
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize(("alpha", "least", "most"), [(0.02, 8, 12), (0.3, 40, 70)])
 def test_the_picture_ends_where_the_facets_do(alpha, least, most):
     mi.set_variant("llvm_ad_mono")

@@ -21,8 +21,6 @@ from gonio_mi import cli, files, start_up
 from gonio_mi.results.summary import summarize
 from gonio_mi.settings import MeasurementSettings, declarations
 
-pytestmark = pytest.mark.usefixtures("mono")
-
 DIFFUSE = ("measure", "diffuse", "--theta-i", "45")
 QUICK = (*DIFFUSE, "--rays", "1e4")
 

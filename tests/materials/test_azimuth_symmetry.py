@@ -94,7 +94,6 @@ def test_nearly_symmetric_is_what_the_tolerance_says(tilt):
         assert found.turns == turns
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize(("parts", "isotropic"), [(0, True), (5, False), (8, False)])
 def test_isotropic_is_not_what_eighths_of_a_turn_leave(parts, isotropic):
     """Ridges of pyramids with eight sides; twin: facets tilted alike all around."""
@@ -170,7 +169,6 @@ def profile(heights):
     }
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize(
     ("heights", "turns"), [([0.0, -0.25], 2), ([0.0, 0.1, 0.2, 0.3], 1)]
 )
@@ -199,7 +197,6 @@ CAMPAIGN = {
 COARSE = {"tolerance": 0.2, "collector": "projected:6x16", "theta_max": 60}
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_material_holds_copies_and_says_so(tmp_path):
     """From rays, as few as the tolerance asks for; any reader can use it."""
     how = COARSE | {"estimator": "weighted"}
@@ -361,7 +358,6 @@ def test_copies_of_files_are_checked(tmp_path, change, message):
         gonio.load(path)
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("told", [True, False])
 def test_the_noise_of_copies_counts_once(told):
     """Exact: copies change neither a fit nor a comparison; twin: if none says so."""

@@ -40,8 +40,6 @@ tasks.measure_each = one
 sys.exit(main())
 """
 
-pytestmark = pytest.mark.usefixtures("mono")
-
 
 @pytest.fixture
 def sigint():

@@ -255,7 +255,6 @@ def test_directions_near_the_tolerance_are_measured_finer(integrates, monkeypatc
 # ------------------------------------------------------------------ what is predicted
 
 
-@pytest.mark.usefixtures("mono")
 def test_points_are_spared_where_few_do():
     """Light in the wrong place by no more than allowed, from a third of the points.
 
@@ -337,7 +336,6 @@ def material():
     return gonio.campaign({"metal": CONDUCTOR}, **SETTINGS)["metal"]
 
 
-@pytest.mark.usefixtures("mono")
 def test_it_is_what_it_says(material, tmp_path):
     """Sampled from the plugin at other directions; twin: from half its angles."""
     found = material.settings["campaign"]
@@ -368,7 +366,6 @@ def test_it_is_what_it_says(material, tmp_path):
     assert f"at least {share:.0%}, with" in " ".join(text.split())
 
 
-@pytest.mark.usefixtures("mono")
 def test_same_bits_elsewhere_and_again(material, tmp_path, monkeypatch):
     with ThreadPoolExecutor(2) as pool:
         where = {"executor": pool, "folder": tmp_path}
@@ -384,7 +381,6 @@ def test_same_bits_elsewhere_and_again(material, tmp_path, monkeypatch):
     assert kept.tallies == material.tallies
 
 
-@pytest.mark.usefixtures("mono")
 def test_ctrl_c_without_a_folder_makes_one(monkeypatch, tmp_path):
     """That the same call carries on from; of two specimens the first is whole in it."""
     plates = {name: {"type": "diffuse"} for name in "ab"}
@@ -420,7 +416,6 @@ def plate():
     return MeasuredDirections("plate", {"type": "diffuse"}, 0.1, ExecutionContext(), {})
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize(
     "missed", [[0], [1, 1], [1, 0], [2, 0], [2, 1, 1], [5, 0], [9, 3, 1, 1], [1] * 2]
 )
@@ -479,7 +474,6 @@ def test_a_table_that_would_not_fit_ends_the_refinement(monkeypatch):
         whole._confirmed()
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_campaign_ends_with_the_table_that_fits(monkeypatch, tmp_path):
     """With a warning, and what was measured; twin: no table of its first directions."""
     brushed = {"type": "roughconductor", "alpha_u": 0.3, "alpha_v": 0.6}
@@ -504,7 +498,6 @@ def test_a_campaign_ends_with_the_table_that_fits(monkeypatch, tmp_path):
         material()
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("estimator", ["weighted", "quadrature"])
 def test_noisy_directions_are_measured_again(estimator):
     """Once, and all rays count; twin: integrals have no noise, and are kept."""
@@ -523,7 +516,6 @@ def test_noisy_directions_are_measured_again(estimator):
         assert known.rays == found[0].ledger.emitted + found[1].ledger.emitted
 
 
-@pytest.mark.usefixtures("mono")
 def test_rays_are_taken_where_a_late_integral_is_refused(monkeypatch):
     """At directions never used, when all others are known; nothing is mixed.
 
@@ -544,7 +536,6 @@ def test_rays_are_taken_where_a_late_integral_is_refused(monkeypatch):
     assert all(record[number].ledger.emitted for number in range(len(record)))
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
@@ -566,7 +557,6 @@ def test_bad_input(arguments, reason):
         gonio.campaign({"metal": CONDUCTOR}, **SETTINGS | arguments, folder=Stop())
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_name_that_is_a_path_stays_in_the_folder(monkeypatch, tmp_path):
     """The command line names a specimen by its file, which may be anywhere."""
     folders = []
@@ -584,7 +574,6 @@ def test_a_name_that_is_a_path_stays_in_the_folder(monkeypatch, tmp_path):
     assert len({folder.name for folder in folders}) == len(names)
 
 
-@pytest.mark.usefixtures("mono")
 def test_samples_that_contradict_integrals_are_told():
     """Of eval 5 % below, at 3 %; twins: at 8 %, and for who asks for one of both."""
     broken_bsdfs.register()
@@ -615,7 +604,6 @@ def test_samples_that_contradict_integrals_are_told():
         checked(0.1, "sample_alone")
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("lost", [0.0, 0.03])
 def test_spiky_weights_contradict_nothing(lost, monkeypatch):
     """Of a lobe drawn as a diffuse one; twin: if they lose a part of the light.
@@ -672,7 +660,6 @@ def looked(monkeypatch):
     return found
 
 
-@pytest.mark.usefixtures("mono")
 def test_mirrors_are_told_with_one_finer_collector(looked, monkeypatch):
     """The finest, at one angle; twin: as peaks, before anything else is measured."""
     heights = mi.TensorXf(np.array([[0.0, -0.25], [0.0, -0.25]], dtype=np.float32))
@@ -691,7 +678,6 @@ def test_mirrors_are_told_with_one_finer_collector(looked, monkeypatch):
     assert finer == [("angle:240x240", 5)]
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("theta_max", [20, 80])
 def test_a_mirror_peak_beside_scattered_light_is_told_at_once(looked, theta_max):
     """Of the upper face of milk glass: as much as Fresnel's equations reflect.
@@ -722,7 +708,6 @@ def test_a_mirror_peak_beside_scattered_light_is_told_at_once(looked, theta_max)
     assert {n for _, n in looked} == {1}
 
 
-@pytest.mark.usefixtures("mono")
 def test_patches_within_the_tolerance_are_enough(monkeypatch):
     """Of 6x64, with 0.098 in the wrong place; twin: 9 % needs more rings, and patches.
 
@@ -737,7 +722,6 @@ def test_patches_within_the_tolerance_are_enough(monkeypatch):
         gonio.campaign(gloss, tolerance=0.09, **how)
 
 
-@pytest.mark.usefixtures("mono")
 def test_deltas_are_told_at_once(looked):
     """By their share of the light, before finer patches are tried."""
     plate = {"type": "diffuse", "reflectance": 0.5}
@@ -760,7 +744,6 @@ def test_deltas_are_told_at_once(looked):
         gonio.campaign({"glass": glass}, tolerance=0.05)
 
 
-@pytest.mark.usefixtures("mono")
 def test_without_a_collector_one_is_chosen(tmp_path):
     """The one that a refusal names, fine enough to begin with.
 
@@ -785,7 +768,6 @@ class Stop:
         raise RuntimeError("enough of it")
 
 
-@pytest.mark.usefixtures("mono")
 def test_integrals_of_a_stack_have_the_bits_of_each():
     how = {"estimator": "quadrature", "collector": "projected:10x12"}
     plastic = {"type": "roughplastic", "alpha": 0.2}

@@ -86,7 +86,6 @@ def test_right_maps_pass():
         assert (SEEDS == 1 and name in MORE) or not alarms(name, specimen)
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize(
     "name", [name for name in right_bsdfs.HEAVY if SEEDS > 1 or name not in TAILS]
 )
@@ -96,7 +95,6 @@ def test_heavy_weights_are_no_fault(name):
     assert not alarms(name, {"type": "heavy", "case": name})
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize(
     ("name", "component"),
     [("ggx 0.01, all normals", None), ("rough glass of index 1.0001", 0)],
@@ -115,7 +113,6 @@ def test_rounding_is_no_fault(name, component, off):
     assert bool(evidence.breaches) == (off != 1)
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("wrong", [0, 200], ids=["right", "twin"])
 def test_steps_that_displacements_miss_are_no_fault(wrong):
     """Fresnel's reflectance of nearly equal indices has few steps of 3e-4 to 9e-4.
@@ -132,7 +129,6 @@ def test_steps_that_displacements_miss_are_no_fault(wrong):
     assert bool(evidence.breaches) == bool(wrong)
 
 
-@pytest.mark.usefixtures("mono")
 def test_tails_too_heavy_to_judge_are_told():
     right_bsdfs.register()
     bsdf = mi.load_dict({"type": "heavy", "case": "lambert by cosine^10"})
@@ -142,7 +138,6 @@ def test_tails_too_heavy_to_judge_are_told():
     assert "tails are too heavy" in found.statistic
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_density_that_underflows_has_no_hole():
     """At grazing incidence much of the light is where facets have no density left."""
     right_bsdfs.register()
@@ -157,7 +152,6 @@ def test_a_density_that_underflows_has_no_hole():
     assert "tails are too heavy" in evidence.undecided["weights"]
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize(("name", "pooled"), [("tabulated", False), ("ward", True)])
 def test_sums_that_do_not_vary_are_not_pooled(name, pooled):
     """All samples of a table are collected; facets (the twin) reflect some downwards.
@@ -176,7 +170,6 @@ def test_sums_that_do_not_vary_are_not_pooled(name, pooled):
     assert any(test.name == "sampling" for test in evidence.tests) == pooled
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("sector", ["any", "one"])
 def test_a_direction_that_rounds_to_the_pole_has_any_azimuth(sector, monkeypatch):
     """Some of a smooth lobe at normal incidence; of the twin all go to one sector."""
@@ -189,7 +182,6 @@ def test_a_direction_that_rounds_to_the_pole_has_any_azimuth(sector, monkeypatch
     (budget.agree if sector == "any" else budget.disagree)(p)
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("lit_behind", [False, True], ids=["right", "twin"])
 def test_samples_without_a_direction_are_no_light(lit_behind):
     """Behind, `roughconductor` answers with weight 0 and a direction that is NaN.

@@ -20,8 +20,6 @@ from gonio_mi.validation.probe import Probe, uniform
 ALBEDO = 0.5
 HARMLESS = "interface only (no effect on images)"
 
-pytestmark = pytest.mark.usefixtures("mono")
-
 
 def flags(words):
     """Flags of Mitsuba by their names."""

@@ -11,8 +11,6 @@ from gonio_mi.validation import reproducer, validate
 from gonio_mi.validation.checks import parameters
 from gonio_mi.validation.checks.parameters import MAX_ALONE
 
-pytestmark = pytest.mark.usefixtures("mono")
-
 FLAGS = mi.BSDFFlags.GlossyReflection, mi.BSDFFlags.FrontSide
 FLAGS += (mi.BSDFFlags.NonSymmetric,)
 

@@ -33,7 +33,6 @@ XML += '<string name="distribution" value="ggx"/>'
         ("roughdielectric", XML.format("false"), True, False, "sample"),
     ],
 )
-@pytest.mark.usefixtures("mono")
 def test_of_a_bsdf(plugin, extra, by_chi2, by_us, function):
     """What chi2 cannot see: another weight."""
     assert outcome(MODULES["mitsuba"], "BSDFAdapter", plugin, extra)[1] == by_chi2
@@ -44,14 +43,12 @@ def test_of_a_bsdf(plugin, extra, by_chi2, by_us, function):
     assert test.verdict.headline in test.messages
 
 
-@pytest.mark.usefixtures("mono")
 def test_of_a_phase_function():
     specimen = {"type": "hg", "g": 0.5}
     for module in MODULES.values():
         assert outcome(module, "PhaseFunctionAdapter", "hg", specimen)[1]
 
 
-@pytest.mark.usefixtures("mono")
 def test_of_anything_else_stays_as_it_is():
     test = gonio_mi.testing.ChiSquareTest(
         domain=gonio_mi.testing.SphericalDomain(),

@@ -108,7 +108,7 @@ def verdict(base, **changes):
         ((2, 2), "breaks some integrators", "ptracer and all that trace light from"),
     ],
 )
-def test_the_mode_that_is_wrong_names_its_integrators(mono, powers, effect, reached):  # noqa: ARG001
+def test_the_mode_that_is_wrong_names_its_integrators(powers, effect, reached):
     found = verdict(Pane, powers=powers)["adjoint"]
     assert found.effect == effect
     if effect is not None:
@@ -116,7 +116,7 @@ def test_the_mode_that_is_wrong_names_its_integrators(mono, powers, effect, reac
 
 
 @pytest.mark.parametrize("everywhere", [True, False])
-def test_a_wrong_type_biases_only_where_eval_is_another(mono, everywhere):  # noqa: ARG001
+def test_a_wrong_type_biases_only_where_eval_is_another(everywhere):
     """No integrator asks for the type of a smooth sample; the twin is lit by chance."""
     judged = verdict(Upwards, everywhere=everywhere)
     found = judged["directions"]
@@ -140,7 +140,7 @@ class Fragile(Upwards):
         return Upwards.sample(self, ctx, si, sample1, sample2, active)
 
 
-def test_what_raises_at_an_end_only_is_judged_elsewhere(mono):  # noqa: ARG001
+def test_what_raises_at_an_end_only_is_judged_elsewhere():
     judged = verdict(Fragile)
     assert judged["ends"].status == "fails"
     assert "raised ArithmeticError: no place" in judged["ends"].mistake
@@ -167,7 +167,7 @@ class Negative(Upwards):
         (Negative, "the value of `eval` is -0.1"),
     ],
 )
-def test_values_that_are_none_are_told_first(mono, base, mistake):  # noqa: ARG001
+def test_values_that_are_none_are_told_first(base, mistake):
     """Integrals, symmetry and shares of the light go on without them."""
     judged = verdict(base)
     assert judged.mistake.startswith(mistake)
@@ -176,7 +176,7 @@ def test_values_that_are_none_are_told_first(mono, base, mistake):  # noqa: ARG0
     assert np.isfinite(shares).all()
 
 
-def test_components_that_were_appended_are_told_how(mono):  # noqa: ARG001
+def test_components_that_were_appended_are_told_how():
     found = verdict(Appended)["flags"]
     assert "component 1, of 1 that are declared" in found.statistic
     assert "m_components must be assigned, to append" in found.mistake

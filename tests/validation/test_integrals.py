@@ -15,8 +15,6 @@ from gonio_mi.validation.probe import Probe
 from gonio_mi.validation.samples import rounding
 from gonio_mi.validation.tally import Damping, patch_totals
 
-pytestmark = pytest.mark.usefixtures("mono")
-
 GRID = EqualAngle(6, 8)
 BEAM = Condition(40.0, 25.0)
 N = 2**16

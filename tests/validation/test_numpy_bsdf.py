@@ -10,8 +10,6 @@ import gonio_mi as gonio
 from gonio_mi.validation import from_numpy, validate
 from gonio_mi.validation.maps import four_maps, in_radiance_mode
 
-pytestmark = pytest.mark.usefixtures("mono")
-
 
 def above(wi, wo):
     return (wi[:, 2] > 0) & (wo[:, 2] > 0)

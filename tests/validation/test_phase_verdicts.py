@@ -46,7 +46,6 @@ STOCK = {
 
 
 @pytest.mark.parametrize("name", STOCK)
-@pytest.mark.usefixtures("mono")
 def test_stock(name):
     specimen, failures = STOCK[name]
     if isinstance(specimen, tuple):
@@ -98,7 +97,6 @@ def test_a_script_of_all_directions_runs_in_colours():
     assert told(text) >= 0
 
 
-@pytest.mark.usefixtures("mono")
 def test_command(capsys):
     words = ["validate", "hg:g=0.8", "--variant", "llvm_ad_mono", "--effort", "quick"]
     assert main(words) == 0
@@ -115,7 +113,6 @@ def test_polarised_variants_are_refused():
         mi.set_variant(before)
 
 
-@pytest.mark.usefixtures("mono")
 def test_microflakes_have_the_area_that_eval_is_divided_by():
     """All but the area is that of `sggx`, of which nothing is to be seen."""
 

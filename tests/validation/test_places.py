@@ -9,8 +9,6 @@ from reproduced import told
 
 from gonio_mi.validation import reproducer, validate
 
-pytestmark = pytest.mark.usefixtures("mono")
-
 
 def verdict(base, **changes):
     mi.register_bsdf("of_places", type("Plugin", (base,), changes))

@@ -68,7 +68,6 @@ def renders(name):
 
 
 @pytest.mark.parametrize("function", CASES)
-@pytest.mark.usefixtures("mono")
 def test_a_function_that_no_loop_records_is_told(function):
     plugin = type("Plugin", (plain_bsdf.plain(),), CASES[function])
     mi.register_bsdf("recorded", plugin)
@@ -82,7 +81,6 @@ def test_a_function_that_no_loop_records_is_told(function):
     assert not (function and renders("recorded"))
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_phase_function_that_no_loop_records_is_told():
     class Isotropic(mi.PhaseFunction):
         def __init__(self, props):

@@ -33,7 +33,6 @@ HANDBOOK = sorted(Path(__file__).parents[2].glob("notebooks/reproducers/*.py"))
 
 
 @pytest.mark.parametrize("path", HANDBOOK, ids=lambda path: path.stem)
-@pytest.mark.usefixtures("mono")
 def test_defect_of_the_installed_mitsuba(path):
     """If this fails, Mitsuba has mended it, and the table of stock plugins must go."""
     text = path.read_text(encoding="utf-8")
@@ -73,7 +72,6 @@ ALSO = {
     ("name", "changes", "remains"),
     [(*one, False) for one in MENDED.items()] + [(*one, True) for one in ALSO.items()],
 )
-@pytest.mark.usefixtures("mono")
 def test_a_script_says_whether_a_defect_is_there(name, changes, remains):
     text = next(one for one in HANDBOOK if one.stem == name).read_text(encoding="utf-8")
     changed = text.replace(*changes)
@@ -306,7 +304,6 @@ PAIRS = {
 
 
 @pytest.mark.parametrize("name", PAIRS)
-@pytest.mark.usefixtures("mono")
 def test_what_only_some_answers_tell_is_shown(name):
     show_worst(name, PAIRS[name])
 
@@ -327,7 +324,6 @@ def show_worst(wrong, right):
 
 
 @pytest.mark.parametrize("kind", [*Kind, *MatrixKind], ids=str)
-@pytest.mark.usefixtures("mono")
 def test_every_kind_has_a_short_script(kind):
     """Of a plugin of which nothing is known; no word of the template is left."""
     name = kind.name.lower() if kind.name.lower() in PROPERTIES else "answers"
@@ -389,7 +385,6 @@ mi.register_bsdf("transformed", Transformed)
 """
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_plugin_file_may_have_source_that_is_read(tmp_path, capsys):
     plugin, script_of = tmp_path / "transformed.py", tmp_path / "bug.py"
     plugin.write_text(TRANSFORMED)

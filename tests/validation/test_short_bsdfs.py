@@ -29,14 +29,12 @@ def check_found(name, guilty):
     assert {*verdict.function.split(" or ")} & {*guilty.split(" or ")}, str(verdict)
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize(("name", "guilty"), MISTAKES.items())
 def test_broken_plugin_is_found_and_named(name, guilty):
     short_bsdfs.register()
     check_found(name, guilty)
 
 
-@pytest.mark.usefixtures("mono")
 def test_counts_explain_the_wrong_mean_of_right_weights():
     """However small the share of `sampling` is beside that of `weights`."""
     short_bsdfs.register()
@@ -45,7 +43,6 @@ def test_counts_explain_the_wrong_mean_of_right_weights():
     assert "draws directions" in verdict.mistake
 
 
-@pytest.mark.usefixtures("mono")
 def test_page_begins_with_the_direction_that_fails(tmp_path):
     """Of a sector of incidence, where no other map is; what holds is folded."""
     short_bsdfs.register()
@@ -61,7 +58,6 @@ def test_page_begins_with_the_direction_that_fails(tmp_path):
     assert len({first, *others}) == len(verdict.maps)
 
 
-@pytest.mark.usefixtures("mono")
 def test_cost_is_not_compared_with_itself():
     """The twin is a plugin of the same lobes."""
     short_bsdfs.register()
@@ -78,7 +74,6 @@ def test_exchanged_colours_are_found(name, guilty):
     check_found(name, guilty)
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("name", [*RIGHT, *PUBLISHED])
 def test_unusual_right_plugin_passes(name):
     """The twins; the false-alarm probability is that of the user."""

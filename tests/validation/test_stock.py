@@ -31,7 +31,6 @@ def only(value):
     return float(np.ravel(np.array(value))[0])
 
 
-@pytest.mark.usefixtures("mono")
 def test_beckmann_roughplastic_has_it_too():
     bsdf = mi.load_dict({"type": "roughplastic", "alpha": 0.3})
     below = mi.Vector3f(-0.995, 0, -0.0999)
@@ -40,7 +39,6 @@ def test_beckmann_roughplastic_has_it_too():
     assert only(bsdf.eval(mi.BSDFContext(), lit_from(1.3), below)) == 0
 
 
-@pytest.mark.usefixtures("mono")
 def test_principled_has_a_density_and_no_samples_from_behind():
     bsdf, behind = mi.load_dict({"type": "principled"}), lit_from(0.5, -1)
     down = mi.Vector3f(0.6, 0, -0.8)
@@ -51,7 +49,6 @@ def test_principled_has_a_density_and_no_samples_from_behind():
     assert only(weight) == 0
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize(
     "specimen",
     [

@@ -79,7 +79,6 @@ def register(kept=ALL, factor=ALL, cut=False, weighed=False, hidden=False):
     mi.register_bsdf("suspects", Suspects)
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize(("changes", "function", "said"), CASES)
 def test_the_guilty_one_or_both_are_named(changes, function, said):
     register(**changes)
@@ -89,7 +88,6 @@ def test_the_guilty_one_or_both_are_named(changes, function, said):
     assert verdict.mistake.startswith(said)
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_density_that_is_cut_off_is_right():
     """The twin: what is lost is where `pdf` is 0."""
     register(cut=True)

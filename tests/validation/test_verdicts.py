@@ -149,7 +149,6 @@ def test_property_may_be_lacking():
     assert "1.01" in verdict["energy"].statistic
 
 
-@pytest.mark.usefixtures("mono")
 def test_declared_asymmetry_is_reported_and_no_failure():
     verdict = validate({"type": "cosinelobe"}, effort="quick")
     assert verdict["reciprocity"].status == "lacks"
@@ -179,7 +178,6 @@ def test_nothing_lit_and_nothing_decided_are_no_pass(specimen, reason, capsys):
         assert "UNDECIDED" in capsys.readouterr().out
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize(
     ("changes", "error", "text"),
     [
@@ -355,7 +353,6 @@ def test_not_reciprocal_is_one_fact():
     assert [one.name for one in verdict.failures] == ["reciprocity"]
 
 
-@pytest.mark.usefixtures("mono")
 def test_answers_as_wide_as_the_rays():
     """Nested maps turn single incident directions into as many as there are rays."""
     heights = np.linspace(0, 0.3, 16, dtype=np.float32).reshape(4, 4, 1)
@@ -366,7 +363,6 @@ def test_answers_as_wide_as_the_rays():
     assert verdict.answered, str(verdict)
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("side", ["front", "back"])
 def test_rare_discrete_lobes_are_counted(side):
     """Of an index of 1.01 a few reflect; a probability of 1 would allow none."""
@@ -414,7 +410,6 @@ class Lambertian(mi.BSDF):
 """
 
 
-@pytest.mark.usefixtures("mono")
 def test_command_judges_where_a_plugin_answers(tmp_path, capsys, monkeypatch):
     """In rgb and in mono; its own modules are found beside it, in either."""
     monkeypatch.setattr(sys, "path", list(sys.path))
@@ -524,7 +519,6 @@ broken_bsdfs.register()
 """
 
 
-@pytest.mark.usefixtures("mono")
 def test_command(tmp_path, capsys):
     plugin = tmp_path / "mine.py"
     plugin.write_text(

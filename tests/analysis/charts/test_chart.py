@@ -192,9 +192,6 @@ def short(monkeypatch):
     monkeypatch.setattr(charting, "time", clock)
 
 
-pytestmark = pytest.mark.usefixtures("mono")
-
-
 def scores(of_curve, grid, repeats):
     """Scores of the squared errors of each point, of a Lambertian of 1/2."""
     for point in of_curve.points:

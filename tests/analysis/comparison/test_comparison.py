@@ -122,7 +122,6 @@ def test_the_worst_points_are_those_that_differ_most():
     assert high > 37.1
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize(("first", "noted"), [(-70, True), (0, False)])
 def test_a_scan_from_the_other_side_is_noted(first, noted):
     """If most of its directions are turned into each other; twin: a scan of one side.
@@ -545,7 +544,6 @@ def test_what_no_comparison_can_be_made_of(first, other, given, message):
         compare(first, other, **given)
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_specimen_is_measured_as_the_other_was():
     """Exact against 1 / (2 pi), by integrals; twin: another reflectance differs."""
     half, more = ({"type": "diffuse", "reflectance": one} for one in (0.5, 0.6))
@@ -688,7 +686,6 @@ def cones():
     return [(t, p) for t in range(0, 85, 8) for p in range(0, 360, 24) if t or not p]
 
 
-@pytest.mark.usefixtures("mono")
 def test_apertures_cover_the_hemisphere_once():
     """In NumPy, and in single precision in Dr.Jit."""
     apertures = Apertures(1.5, disjoint_groups(cones(), 1.5)[0])
@@ -781,7 +778,6 @@ def lambertian_table(reflectance, seed=4, **settings):
 DIFFUSE = {"type": "diffuse", "reflectance": {"type": "spectrum", "value": 0.7}}
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("emitter_half_angle", [0.0, 2.0])
 def test_record_at_the_solid_angles_of_a_table(emitter_half_angle):
     geometry = {"aperture_half_angle": 5, "emitter_half_angle": emitter_half_angle}
@@ -800,7 +796,6 @@ def test_record_at_the_solid_angles_of_a_table(emitter_half_angle):
         compare(records[:1], table)
 
 
-@pytest.mark.usefixtures("mono")
 def test_apertures_see_a_lobe_that_patches_smear():
     """Reference: `eval` integrated over each aperture, in its own coordinates."""
     bsdf = {"type": "roughconductor", "alpha": 0.1}
@@ -837,7 +832,6 @@ def test_apertures_see_a_lobe_that_patches_smear():
         compare(coarse, table)
 
 
-@pytest.mark.usefixtures("mono")
 def test_apertures_that_cross_the_horizon_are_left_out():
     """And counted; if all do, nothing is left to compare."""
     theta_o = np.array([0.0, 40.0, 86.0, 88.0])
@@ -854,7 +848,6 @@ def test_apertures_that_cross_the_horizon_are_left_out():
         compare(records, low)
 
 
-@pytest.mark.usefixtures("mono")
 def test_overlapping_and_transmitted_points():
     """Groups of apertures join in one comparison; below the horizon too."""
     theta_o = np.arange(120.0, 180, 5)
@@ -938,7 +931,6 @@ def test_commands_refuse_in_one_line(saved, capsys):
         assert error.count("\n") == 1
 
 
-@pytest.mark.usefixtures("mono")
 def test_all_that_a_table_leaves_open_is_asked_for_at_once(saved, capsys):
     """Twin: with the answers it is read; and of a record no aperture is asked for."""
     path = str(saved / "open.csv")
@@ -962,7 +954,6 @@ def test_all_that_a_table_leaves_open_is_asked_for_at_once(saved, capsys):
     assert main(["compare", "diffuse", path, *answered, *loose]) != 1
 
 
-@pytest.mark.usefixtures("mono")
 def test_record_of_apertures_is_saved_shown_and_drawn(tmp_path, capsys):
     table = lambertian_table(0.7, aperture_half_angle=5)
     record, _ = measure_like(DIFFUSE, table, rays=20_000)
@@ -975,7 +966,6 @@ def test_record_of_apertures_is_saved_shown_and_drawn(tmp_path, capsys):
     assert main(["plot", str(tmp_path / "a.npz"), *figure]) == 0
 
 
-@pytest.mark.usefixtures("mono")
 def test_command_measures_a_specimen_like_the_table(tmp_path, capsys):
     path = tmp_path / "measured.csv"
     lambertian_table(0.7, aperture_half_angle=5).save(path)
@@ -985,7 +975,6 @@ def test_command_measures_a_specimen_like_the_table(tmp_path, capsys):
     assert "DIFFER" in capsys.readouterr().out
 
 
-@pytest.mark.usefixtures("mono")
 def test_command_measures_a_specimen_in_the_patches_of_a_table(tmp_path, capsys):
     """Which the table says to hold the means of, as exported ones do."""
     path = tmp_path / "measured.csv"
@@ -1009,7 +998,6 @@ def test_command_measures_a_specimen_in_the_patches_of_a_table(tmp_path, capsys)
     assert len(written.read_text().splitlines()) == len(table) + 1
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("seed", [0, 5])
 def test_a_record_and_its_own_table_do_not_share_rays(seed):
     """Exact: of one seed they would be the same; twin: the record measured again."""
@@ -1021,7 +1009,6 @@ def test_a_record_and_its_own_table_do_not_share_rays(seed):
     assert not np.array_equal(anew[0].brdf, record.brdf)
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_table_of_a_wavelength_is_met_in_colour(tmp_path, capsys):
     """Copper's at 450 nm, a file beside that of 550 nm; the twin is grey."""
     copper = "roughconductor:material=Cu,alpha=0.3"
@@ -1047,7 +1034,6 @@ def test_a_table_of_a_wavelength_is_met_in_colour(tmp_path, capsys):
 # ---------------------------------------------- what is compared, and its name
 
 
-@pytest.mark.usefixtures("mono")
 def test_labels_of_two_records(tmp_path):
     """Text and JSON call records by the setting in which they differ."""
     settings = {"theta_i": 30, "rays": 4096, "collector": "projected:4x4"}
@@ -1071,7 +1057,6 @@ def test_labels_of_two_records(tmp_path):
         assert f"{label} +- std" in (tmp_path / "labels.svg").read_text()
 
 
-@pytest.mark.usefixtures("mono")
 def test_lower_hemisphere_of_one_record():
     """Dark ones are left out; light that would be left out is refused."""
     settings = {"theta_i": 30, "rays": 2**14, "collector": "projected:4x4"}
@@ -1090,7 +1075,6 @@ def test_lower_hemisphere_of_one_record():
         compare(glass, upper)
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_point_for_each_incidence_is_drawn_over_incidence():
     """One panel for all of them; twin: two points each have panels of their own."""
     incidence = np.array([60.0, 0.0, 30.0])

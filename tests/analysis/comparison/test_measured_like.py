@@ -19,8 +19,6 @@ from gonio_mi.cli import main
 from gonio_mi.files.measured_table import MeasuredTable
 from gonio_mi.settings import Estimator
 
-pytestmark = pytest.mark.usefixtures("mono")
-
 DIFFUSE = {"type": "diffuse", "reflectance": {"type": "spectrum", "value": 0.7}}
 ROUGH = {"type": "roughconductor", "alpha": 0.2, "distribution": "ggx"}
 RAYS = 50_000

@@ -13,8 +13,6 @@ from gonio_mi.cli import main
 from gonio_mi.collector.directions import direction
 from gonio_mi.files.measured_table import MeasuredTable
 
-pytestmark = pytest.mark.usefixtures("mono")
-
 PLASTIC = {"type": "roughplastic", "alpha": 0.2}
 METAL = {"type": "roughconductor", "alpha": 0.3}
 NARROW = {"type": "roughconductor", "alpha": 0.03}

@@ -1,7 +1,6 @@
 """A record and a table of the same seed have the same rays: their agreement is none."""
 
 import numpy as np
-import pytest
 import synthetic
 
 import gonio_mi as gonio
@@ -28,7 +27,6 @@ def exported(record, path):
     return read_measured(path)
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_table_of_the_same_rays_is_told(tmp_path):
     """Of the same seed values are the same, exactly; the twin has another seed."""
     record, other = measured(seed=3), measured(seed=4)
@@ -43,7 +41,6 @@ def test_a_table_of_the_same_rays_is_told(tmp_path):
     assert not noted(record, dark, 3)  # which differs
 
 
-@pytest.mark.usefixtures("mono")
 def test_the_command_tells(tmp_path, capsys):
     record, path = tmp_path / "run.npz", tmp_path / "run.csv"
     measured(seed=5).save(record)
@@ -60,7 +57,6 @@ def test_the_command_tells(tmp_path, capsys):
         assert said not in capsys.readouterr().out
 
 
-@pytest.mark.usefixtures("mono")
 def test_seeds_of_merged_records_and_other_samplers(tmp_path):
     record = measured(seed=3)
     merged = record.merge(measured(seed=4))
@@ -75,7 +71,6 @@ def test_seeds_of_merged_records_and_other_samplers(tmp_path):
     assert exported(integral, tmp_path / "integral.csv").rays == {}
 
 
-@pytest.mark.usefixtures("mono")
 def test_apertures_of_a_table_get_rays_of_their_own(tmp_path):
     """Exact; the twin does not say its seed, and has the same bits as the record."""
     apertures = Apertures(5.0, ((30.0, 0.0), (30.0, 120.0)))

@@ -75,7 +75,6 @@ def test_emitters_of_one_class_are_told_apart():
     assert said(one, one) == []
 
 
-@pytest.mark.usefixtures("mono")
 def test_records_as_they_are_measured():
     """Of light in a patch, in a cone and in one direction; depth without a cut."""
     glossy = {"type": "roughconductor", "alpha": 0.2}

@@ -65,7 +65,6 @@ def pulls(fits, truth):
     return normal_scores(np.array(each), 15)
 
 
-@pytest.mark.usefixtures("mono")
 def test_uncertainties_are_honest(fits):
     """What is found scatters about the truth as its error bars say; twin: 5 % off."""
     truth = np.array([METAL[name] for name in fits[0].names])
@@ -74,7 +73,6 @@ def test_uncertainties_are_honest(fits):
         disagree(verdict(wrong))
 
 
-@pytest.mark.usefixtures("mono")
 def test_residual_is_noise_for_the_right_model_only(fits):
     """Chi-square of all fits; twin: the same records with the other distribution."""
 
@@ -90,7 +88,6 @@ def test_residual_is_noise_for_the_right_model_only(fits):
     assert other.misplaced > 2 * fits[0].misplaced
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize(
     ("known", "truth"),
     [
@@ -134,7 +131,6 @@ def table_of(bsdf, **settings):
     return MeasuredTable(*columns, **settings)
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_table_is_fitted_in_its_directions():
     """Rounding: a table without noise gives what it was made of, and says it exactly.
 
@@ -150,7 +146,6 @@ def test_a_table_is_fitted_in_its_directions():
     assert gonio.fit(wide, "roughconductor:distribution=ggx").values[0] < 0.297
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("quantity", ["brdf", "btdf"])
 def test_a_table_of_patch_means_is_fitted_as_such(quantity, tmp_path):
     """Convergence: as the integrals it holds; twin: as points it is another alpha."""
@@ -172,7 +167,6 @@ def test_a_table_of_patch_means_is_fitted_as_such(quantity, tmp_path):
     assert not np.isclose(of_points, 0.3, rtol=10 * INTEGRALS, atol=0)
 
 
-@pytest.mark.usefixtures("mono")
 def test_uncertainties_of_few_repetitions_are_larger():
     """By the variance of Student's t with 5 degrees of freedom, 5/3.
 
@@ -194,7 +188,6 @@ def test_uncertainties_of_few_repetitions_are_larger():
     assert np.allclose(few.std_errs, many.std_errs * (5 / 3) ** 0.5, rtol=rounding)
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("stated", [True, False])
 def test_uncertainties_of_tables_are_honest(stated):
     """Normal scores over 30 tables with noise of 5 %; twin: 5 % off.
@@ -216,7 +209,6 @@ def test_uncertainties_of_tables_are_honest(stated):
             judge(verdict(column))
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_common_factor_makes_a_reflectance_uncertain():
     """Its 10 % are those of the reflectance, and none of the roughness's.
 
@@ -236,7 +228,6 @@ def test_a_common_factor_makes_a_reflectance_uncertain():
     assert without[1] < 0.08 / 10, "twin: without the factor it is far more certain"
 
 
-@pytest.mark.usefixtures("mono")
 def test_apertures_of_a_record_are_fitted(tmp_path):
     """Normal scores, and the twin; its prediction by another rule of integration."""
     axes = tuple(
@@ -259,7 +250,6 @@ def test_apertures_of_a_record_are_fitted(tmp_path):
     assert not np.allclose(fits[1].predicted, flux, rtol=1e-4)
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
@@ -278,7 +268,6 @@ def test_tables_that_cannot_be_fitted(settings, message):
         gonio.fit(replace(table_of(METAL), **settings), "diffuse")
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("uncertainty", [0.0, 0.01])
 def test_as_many_parameters_as_values_are_refused(uncertainty):
     table = gonio.MeasuredTable(
@@ -295,7 +284,6 @@ def test_a_table_needs_a_variant_of_one_channel(rgb):  # noqa: ARG001
         gonio.fit(MeasuredTable(angles, 0 * angles, *[angles] * 3), "diffuse")
 
 
-@pytest.mark.usefixtures("mono")
 def test_what_is_told_of_a_table_is_as_if_it_said_it():
     """Exact; what it says of its aperture itself counts, as in `compare`."""
     told = {"uncertainty": 0.02, "aperture_half_angle": 5.0}
@@ -334,7 +322,6 @@ def test_a_colour_that_is_changed_is_as_loaded(name, rgb):  # noqa: ARG001
     assert (held.bsdf(other) is held.bsdf(start)) == bool(colours.all())
 
 
-@pytest.mark.usefixtures("mono")
 def test_command_fits_a_table(tmp_path, capsys):
     table_of(METAL, uncertainty=0.02).save(tmp_path / "a.csv")
     model = "roughconductor:distribution=ggx"
@@ -429,7 +416,6 @@ def test_a_colour_stays_within_what_mitsuba_loads(rgb):  # noqa: ARG001
         gonio.fit(record, "roughconductor", ["specular_reflectance=2:3"])
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("name", FREE)
 def test_words_mean_the_same_bsdf_as_in_a_measurement(name):
     """Exact: a fit adds nothing to what is said but the numbers that it finds.
@@ -460,7 +446,6 @@ def test_variances_are_pooled():
     assert np.all(pooled(variances, np.zeros(48, int), brightness) == 23.5)
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize(
     ("make", "model", "free", "message"),
     [
@@ -488,7 +473,6 @@ def test_bad_input_is_one_sentence(make, model, free, message):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.usefixtures("mono")
 def test_what_a_record_does_not_determine_is_told():
     """A coat that is not there has any gloss; of two indices only the ratio counts."""
     record = measured({"type": "diffuse"}, estimator="quadrature")
@@ -503,7 +487,6 @@ def test_what_a_record_does_not_determine_is_told():
         gonio.fit(record, glass, ["int_ior=1.2:3", "ext_ior=0.5:2"])
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_limit_is_told():
     """A lobe that is narrower than the model may be."""
     record = measured(METAL, estimator="quadrature")
@@ -513,7 +496,7 @@ def test_a_limit_is_told():
     assert "(at its limit)" in str(found)
 
 
-def test_record_of_another_variant(mono):  # noqa: ARG001
+def test_record_of_another_variant():
     with pytest.raises(SettingError, match="variant must be the record's"):
         gonio.fit(synthetic.record(channels=("R", "G", "B")), "diffuse")
 
@@ -526,7 +509,7 @@ def test_known_values_are_kept():
     assert model.bsdf(np.array([2.0])) == {"type": "x", "tint": 2.0}
 
 
-def test_command(tmp_path, capfd, mono):  # noqa: ARG001
+def test_command(tmp_path, capfd):
     """Both distributions, the right one first; a picture, a record, numbers."""
     measured(METAL, [30]).save(tmp_path / "a.npz")
     outputs = [str(tmp_path / name) for name in ("a.png", "fit.npz")]
@@ -555,7 +538,7 @@ def test_command(tmp_path, capfd, mono):  # noqa: ARG001
     assert "must be a BSDF in one word" in capfd.readouterr().err
 
 
-def test_fits_of_one_table_are_drawn_together(mono, tmp_path):  # noqa: ARG001
+def test_fits_of_one_table_are_drawn_together(tmp_path):
     """Whatever each was told of it; twin: of another table they are not."""
     pytest.importorskip("matplotlib")
     table = table_of({"type": "diffuse", "reflectance": 0.4})

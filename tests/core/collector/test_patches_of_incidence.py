@@ -35,7 +35,6 @@ def test_solid_angles_of_cells_are_integrals():
     assert errors[0] > 3 * errors[1] > 9 * errors[2]
 
 
-@pytest.mark.usefixtures("mono")
 def test_cells_in_the_instrument_are_those_of_numpy():
     cells = ShirleyChiu(16)
     assert (cells.patch(cells.points(4)) == np.arange(256)[:, None]).all()
@@ -84,7 +83,6 @@ def shares(incident, theta_i, phi_i, finer, side="front"):
     ],
 )
 @pytest.mark.parametrize("side", ["front", "back"])
-@pytest.mark.usefixtures("mono")
 def test_directions_are_uniform_in_projected_solid_angle(
     incident, theta_i, phi_i, finer, side
 ):
@@ -112,7 +110,6 @@ def thin_glass(theta, n=1.5046):
     return (1 - r) / (1 + r)
 
 
-@pytest.mark.usefixtures("mono")
 def test_glass_sends_a_patch_to_one_patch():
     """All of them: the light of each is in the opposite one, as Fresnel has it."""
     klems = Klems("quarter")
@@ -139,7 +136,6 @@ def test_glass_sends_a_patch_to_one_patch():
 # --------------------------------------------------------------------- what is refused
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
@@ -162,7 +158,6 @@ def test_settings_that_exclude_each_other(settings, message):
         gonio.measure({"type": "diffuse"}, **settings)
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_campaign_measures_all_patches(tmp_path):
     settings = {"incident": "klems-quarter", "collector": "klems-quarter", "rays": 64}
     here = gonio.measure({"type": "diffuse"}, **settings)

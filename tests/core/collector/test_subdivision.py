@@ -252,7 +252,6 @@ def float32_directions(n, seed):
 
 @all_kinds
 @sizes
-@pytest.mark.usefixtures("mono")
 def test_numpy_and_drjit_agree_on_the_patch(kind, size):
     """Where they do not, the direction is within single precision of a border."""
     v = float32_directions(100_000, seed=size[0])

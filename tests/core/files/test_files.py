@@ -560,7 +560,6 @@ def test_wavelengths_sort_as_numbers():
     assert [nm[i] for i in np.argsort(names)] == sorted(nm)
 
 
-@pytest.mark.usefixtures("mono")
 def test_mitsuba_reads_the_map(tmp_path):
     import mitsuba as mi
 

@@ -19,8 +19,6 @@ from gonio_mi.quadrature import integrate
 from gonio_mi.results.estimates import SampledEstimates
 from gonio_mi.results.statistics import batch_std_err, binomial_interval
 
-pytestmark = pytest.mark.usefixtures("mono")
-
 SEEDS = 24
 
 

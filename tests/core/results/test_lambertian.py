@@ -30,7 +30,6 @@ KINDS = ("angle", "solid", "projected")
 SIZES = (10, 30, 100)
 ANGLES = (0, 45, 89, 89.9, 89.99)
 
-pytestmark = pytest.mark.usefixtures("mono")
 slow = pytest.mark.skipif(
     "GONIO_MI_SLOW" not in os.environ, reason="set GONIO_MI_SLOW to run it"
 )

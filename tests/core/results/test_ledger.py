@@ -48,7 +48,6 @@ def scripted(weight, other=None, z=1.0, pdf=1.0):
     return {"type": "scripted"}
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("trace", [False, True])
 @pytest.mark.parametrize("estimator", ["analog", "weighted"])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, -0.5, 1e6])
@@ -76,7 +75,6 @@ def test_invalid_weights_have_their_row(value, estimator, trace):
     disagree(single((ledger.invalid - met * 0.48) / np.sqrt(met / 4)))
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize(
     ("weight", "z", "pdf", "row"),
     [
@@ -101,7 +99,6 @@ def test_rows(weight, z, pdf, row):
         assert record.counts.sum() == 0
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.filterwarnings("ignore:the BSDF creates light")
 def test_weights_above_one_are_summed_exactly():
     """Exact: analog rays of weight 2.5 count twice or three times."""
@@ -117,7 +114,6 @@ def test_weights_above_one_are_summed_exactly():
     disagree(single(z + 0.01 * 2.5 * np.sqrt(RAYS) / 0.5))
 
 
-@pytest.mark.usefixtures("mono")
 def test_truncated_rays():
     """Rays inside of a slab after `max_depth` events are truncated."""
     transform = mi.ScalarTransform4f().scale([1000, 1000, 0.5])
@@ -130,7 +126,6 @@ def test_truncated_rays():
     assert record.dhr[0] < 1
 
 
-@pytest.mark.usefixtures("mono")
 def test_missed_rays_are_not_incident():
     """A disk of light of twice the specimen's size: what misses it is no flux."""
     record = gonio.measure(
@@ -164,7 +159,6 @@ def test_same_reflectance_in_all_channels():
     assert not np.allclose(record.dhr, expected[::-1])
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("trace", [False, True])
 def test_same_seed_same_bits_on_any_number_of_threads(trace):
     def run(seed):
@@ -187,7 +181,6 @@ def test_same_seed_same_bits_on_any_number_of_threads(trace):
     assert run(6) != first
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("trace", [False, True])
 @pytest.mark.parametrize("estimator", ["analog", "weighted"])
 def test_second_launch_compiles_nothing(estimator, trace):

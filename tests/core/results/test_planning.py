@@ -137,7 +137,6 @@ def measured(**settings):
     )
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("sampler", ["independent", "sobol"])
 @pytest.mark.parametrize("estimator", ["analog", "weighted"])
 def test_rel_err_is_reached(sampler, estimator):
@@ -150,7 +149,6 @@ def test_rel_err_is_reached(sampler, estimator):
     assert record.n_batches == 16
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("goal", [{"rel_err": 0.005}, {"noise": 0.002}])
 def test_rays_of_a_target_are_even(goal):
     """Exact: few launches send them; twin: the most rays that are allowed are not."""
@@ -166,7 +164,6 @@ def rays_of_batches(goal):
     return record.n_batches, record.ledger.emitted // record.n_batches
 
 
-@pytest.mark.usefixtures("mono")
 def test_max_rays_comes_first():
     with pytest.warns(RuntimeWarning, match="rel_err of 0.0001 was not reached"):
         record = measured(rel_err=1e-4, max_rays=400_000, sampler="independent")
@@ -174,7 +171,6 @@ def test_max_rays_comes_first():
     assert record.settings["reached"] > 1e-4
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
@@ -190,7 +186,6 @@ def test_bad_targets(settings, message):
         measured(**settings)
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_pilot_finds_the_lobe():
     """The conductor lights part of the hemisphere; the plan needs m' only."""
     pilot = gonio.measure({"type": "roughconductor", "alpha": 0.1}, 30, rays=10**5)

@@ -51,7 +51,6 @@ def score(record, reference):
         *(("independent", "next_event"), ("multijitter", "weighted")),
     ],
 )
-@pytest.mark.usefixtures("mono")
 def test_batches_of_one_ray(sampler, estimator):
     """Traced batches of one ray end: one alone, and sixteen of them."""
     common = {"theta_i": 30, "period": "box", "sampler": sampler}
@@ -61,7 +60,6 @@ def test_batches_of_one_ray(sampler, estimator):
         assert record.tallies[0].n_batches == rays
 
 
-@pytest.mark.usefixtures("mono")
 def test_one_ray_is_the_first_of_a_longer_batch():
     """The lane that is added changes no number of the others."""
     one = gonio.measure(PLATE, theta_i=30, rays=1, batches=1, trace=True)
@@ -132,7 +130,6 @@ def test_colour_of_one_number():
 
 @pytest.mark.parametrize("shape", ["rectangle", "sphere"])
 @pytest.mark.parametrize("nested", [False, True])
-@pytest.mark.usefixtures("mono")
 def test_plugin_that_raises(shape, nested):
     """Its own error, whose traceback names the line, wherever it stands."""
 
@@ -203,7 +200,6 @@ def triangle(*corners):
     ids=["point", "line", "upright", "no width", "atom", "galaxy", "tiny sphere"],
 )
 @pytest.mark.parametrize("trace", [False, True])
-@pytest.mark.usefixtures("mono")
 def test_collapsed_geometry(specimen, trace):
     """Nothing to light, or nothing that single precision resolves."""
     with pytest.raises(gonio.SpecimenError, match="must be at least 1e-09 scene units"):
@@ -221,7 +217,6 @@ def test_collapsed_geometry(specimen, trace):
         (4e8, True),
     ],
 )
-@pytest.mark.usefixtures("mono")
 def test_geometry_of_any_sensible_size(scale, trace):
     """All light of a white plate comes back, but for the rounding of a weight."""
     plate = flat(scale, scale) | {"bsdf": {"type": "diffuse", "reflectance": 1.0}}
@@ -238,7 +233,6 @@ def test_geometry_of_any_sensible_size(scale, trace):
         ((0, 0, 2e4), 30, 40, 0.5),
     ],
 )
-@pytest.mark.usefixtures("mono")
 def test_specimen_far_from_the_origin(place, half_angle, theta_i, rho):
     """A warning gives a bound of what rounding does there; it holds.
 
@@ -255,7 +249,6 @@ def test_specimen_far_from_the_origin(place, half_angle, theta_i, rho):
 
 
 @pytest.mark.parametrize("place", [(0, 0, 0), (3, -2, 1), (20, 0, 0)])
-@pytest.mark.usefixtures("mono")
 def test_specimen_near_the_origin(place):
     """There it is as exact as anywhere, and no warning."""
     record = gonio.measure(groove(place), theta_i=20, period="box", rays=2**17)
@@ -286,14 +279,12 @@ def test_specimen_near_the_origin(place):
         ),
     ],
 )
-@pytest.mark.usefixtures("mono")
 def test_settings_in_one_sentence(settings, said):
     """Each was measured as something else, crashed, or sent the user in a circle."""
     with pytest.raises((TypeError, ValueError), match=said):
         gonio.measure(PLATE, **({"theta_i": 30, "rays": 100} | settings))
 
 
-@pytest.mark.usefixtures("mono")
 def test_remedies_are_possible():
     """What these refusals advise is measured; the plate has 1 / pi times 1 / 2."""
     common = {"theta_i": 30, "rays": 2**16, "collector": "apertures:4@0/0,50/90"}
@@ -306,7 +297,6 @@ def test_remedies_are_possible():
             agree(single(float(normal_scores(each, 15))))
 
 
-@pytest.mark.usefixtures("mono")
 def test_sampler_of_a_scene_file():
     """No plugin of another kind is taken for a sampler, nor is it passed over."""
     with pytest.raises(
@@ -345,7 +335,6 @@ def test_small_angles_in_degrees_are_not_taken_for_radians():
 @pytest.mark.needs("materials")
 @pytest.mark.needs("exchange")
 @pytest.mark.filterwarnings("ignore:the file describes light from the front only")
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("ending", ["npz", "xml", "exr"])
 def test_material_file_in_one_word(tmp_path, ending, monkeypatch, capsys):
     """A plugin's setting may end in .xml; a scene file may be absent."""
@@ -368,7 +357,6 @@ def test_material_file_in_one_word(tmp_path, ending, monkeypatch, capsys):
 
 @pytest.mark.parametrize("name", ["rr_depth", "max_depth", "max_scatterings"])
 @pytest.mark.parametrize("trace", [False, True])
-@pytest.mark.usefixtures("mono")
 def test_whole_numbers_as_large_as_32_bits(name, trace, capsys):
     """The largest is measured with; the next ones are refused in one sentence."""
     settings = {"rays": 64, "batches": 2, "trace": trace}
@@ -384,7 +372,6 @@ def test_whole_numbers_as_large_as_32_bits(name, trace, capsys):
 
 @pytest.mark.parametrize("name", ["threads", "executor"])
 @pytest.mark.parametrize("value", [-1, 2**32, 2**63])
-@pytest.mark.usefixtures("mono")
 def test_workers_and_threads_that_cannot_be(name, value):
     with pytest.raises(ValueError, match=f"^{name} must be at (most|least) "):
         gonio.campaign({"plate": PLATE}, [0], rays=64, **{name: value})

@@ -68,7 +68,6 @@ def test_values_are_parsed_once(name):
 
 
 @pytest.mark.parametrize("name", [n for n, d in DECLARED.items() if d.plugin])
-@pytest.mark.usefixtures("mono")
 def test_plugins_have_the_declared_properties(name):
     """As in a scene file; their manual page has a row for each."""
     declared = DECLARED[name]
@@ -106,7 +105,6 @@ def test_an_unknown_setting_is_named():
         gonio.measure({"type": "diffuse"}, 30, ray=10)
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_scene_brings_its_own():
     """What is given to `measure` goes before what the scene's plugins say."""
     scene = {

@@ -73,7 +73,6 @@ def linear(theta, theta_i, values):
     return np.interp(np.sin(theta), np.sin(np.radians(theta_i)), values)
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("collector", ["projected:30x30", "projected:90x180", "klems"])
 @one_sided
 def test_a_delta_lands_whole(tmp_path, monkeypatch, collector):
@@ -165,7 +164,6 @@ def test_totals_are_off_by_no_more_than_is_said():
     assert in_words(losses[1:])[0].endswith("theta_i 37, phi_i 0; total off by 0.15")
 
 
-@pytest.mark.usefixtures("mono")
 @one_sided
 def test_twin_points_alone_lose_the_delta(tmp_path, monkeypatch):
     """Without the peaks apart and light carried, a sliver of a patch is missed."""
@@ -307,7 +305,6 @@ def test_radiance_reads_the_blind(blind):
 # ------------------------------------------------------------------- other ways to ask
 
 
-@pytest.mark.usefixtures("mono")
 def test_two_records_make_one_file(blind, tmp_path, monkeypatch):
     monkeypatch.setattr(radiance_export, "read_back", lambda *_: [])  # see below
     path, records = blind
@@ -355,7 +352,6 @@ def test_trees_of_a_sheet_say_what_matrices_say(tmp_path):
                 assert total == pytest.approx(0.5, rel=digits)
 
 
-@pytest.mark.usefixtures("mono")
 def test_command_writes_the_product_and_solar_light(tmp_path, capsys):
     path = tmp_path / "sheet.xml"
     words = ["bsdf", "diffuse:reflectance=0.5", "--solar", "diffuse:reflectance=0.25"]
@@ -382,7 +378,6 @@ def test_command_writes_the_product_and_solar_light(tmp_path, capsys):
     assert np.allclose(blocks["Solar", name], half, atol=2 * DIGITS)
 
 
-@pytest.mark.usefixtures("mono")
 def test_command_prints_properties_of_a_pane(tmp_path, capsys):
     """As JSON, of mean T and R over the patches that touch the normal, and of all.
 
@@ -418,7 +413,6 @@ def test_command_prints_properties_of_a_pane(tmp_path, capsys):
         judge(Verdict({"worst": min(1.0, len(t) * 2 * stats.norm.sf(z))}))
 
 
-@pytest.mark.usefixtures("mono")
 def test_the_cells_that_touch_the_normal_are_averaged(tmp_path):
     """Four of a tree of rank 4, exactly; not the first of them alone."""
     matt = {"type": "roughdielectric", "alpha": 0.5}
@@ -429,7 +423,6 @@ def test_the_cells_that_touch_the_normal_are_averaged(tmp_path):
     assert found == pytest.approx(record.dht[order].mean(), rel=1e-12)
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_mesh_has_a_bsdf_for_sunlight(tmp_path, capsys):
     """An upright plate: matrices in the ratio of both reflectances, exactly."""
     path = tmp_path / "plate.obj"
@@ -458,7 +451,6 @@ def test_a_mesh_has_a_bsdf_for_sunlight(tmp_path, capsys):
         (["-o", "x.xml", "--normal", "y"], "--normal applies to meshes"),
     ],
 )
-@pytest.mark.usefixtures("mono")
 def test_command_refuses(tmp_path, monkeypatch, capsys, words, message):
     monkeypatch.chdir(tmp_path)
     assert cli.main(["bsdf", "diffuse", *words]) == 1
@@ -472,7 +464,6 @@ def test_what_the_file_decides_is_not_asked_for(tmp_path):
         gonio.bsdf({"type": "diffuse"}, tmp_path / "x.xml", theta_i=3)
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("folder", [None, "parts"])
 def test_both_sides_are_measured_with_rays_of_their_own(tmp_path, folder):
     """Exact: `measure` repeats both with the seeds that their records state."""
@@ -505,7 +496,6 @@ def test_a_coloured_face_and_a_black_back(tmp_path):
     assert (np.abs(file.values("back", 0, 40.0, 80.0, wo)) <= DIGITS).all()
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_grain_is_told_of_a_tree_of_rank_3(tmp_path, recwarn):
     """And none of what is the same at all azimuths, with light in deltas or not."""
     path, few = tmp_path / "tree.xml", {"cells": 4, "rays": 16}
@@ -519,7 +509,6 @@ def test_a_grain_is_told_of_a_tree_of_rank_3(tmp_path, recwarn):
     assert not any("isotropic" in str(one.message) for one in recwarn)
 
 
-@pytest.mark.usefixtures("mono")
 def test_light_that_leaves_over_the_edge_is_told(tmp_path, recwarn):
     """Of a pane without a period; with one there is none."""
     faces = {

@@ -205,7 +205,6 @@ def measured(monkeypatch):
     return seen
 
 
-@pytest.mark.usefixtures("mono")
 def test_an_interrupted_file_goes_on(tmp_path, capsys, measured):
     """From the folder: only what is missing is measured, and the bits are the same."""
     whole, folder = tmp_path / "whole.xml", tmp_path / "blind"

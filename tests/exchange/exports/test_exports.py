@@ -65,7 +65,6 @@ def test_klems_sizes_and_order():
     assert (klems.patch(points) == np.arange(145)[:, None]).all()
 
 
-@pytest.mark.usefixtures("mono")
 def test_klems_in_the_instrument(tmp_path):
     """Dr.Jit numbers the patches as NumPy does; files and sums are as of any other."""
     record = gonio.measure(
@@ -86,7 +85,6 @@ def test_klems_in_the_instrument(tmp_path):
     assert (index != Klems().patch(wo)).sum() <= 1
 
 
-@pytest.mark.usefixtures("mono")
 def test_material_of_a_klems_record():
     record = gonio.measure(
         {"type": "roughconductor", "alpha": 0.3}, (0, 40), collector="klems", rays=2**16
@@ -202,7 +200,6 @@ def test_a_material_at_measured_incidence_is_read_as_between():
         assert not np.isclose(beside, moved, rtol=1e-4, atol=1e-5 * moved.max()).all()
 
 
-@pytest.mark.usefixtures("mono")
 def test_measured_needs_rgb(tmp_path):
     with pytest.raises(VariantError, match="needs a variant of rgb"):
         exporting.export(synthetic.lambertian(), tmp_path / "a.bsdf")
@@ -256,7 +253,6 @@ def test_bad_tensor_files_are_refused(data, message):
 # ----------------------------------------------------------------------------- tables
 
 
-@pytest.mark.usefixtures("mono")
 def test_csv_is_what_compare_reads(tmp_path, glossy):
     losses = exporting.export(glossy, tmp_path / "run.csv")
     assert len(losses) == 6
@@ -288,7 +284,6 @@ def astm(record):
     return keys + "\n".join(lines) + "\n"
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_channel_of_an_astm_file_is_compared(tmp_path, capsys):
     three = synthetic.record(
         "projected:4x8", theta_i=(0, 30), phi_i=(0, 40), channels=("R", "G", "B")
@@ -315,7 +310,6 @@ def test_a_material_is_no_table(tmp_path):
         gonio.read_measured(tmp_path / "a.xml")
 
 
-@pytest.mark.usefixtures("mono")
 def test_netcdf_is_what_xarray_reads(tmp_path, glossy):
     xarray = pytest.importorskip("xarray")
     losses = exporting.export(glossy, tmp_path / "run.nc")
@@ -422,7 +416,6 @@ def test_command_refuses_before_it_works(tmp_path, capsys, name, glossy):
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 
-@pytest.mark.usefixtures("mono")
 def test_records_of_other_channels_are_refused(tmp_path):
     record = synthetic.record(channels=("a", "b"))
     with pytest.raises(ValueError, match="one channel, of R, G, B or of wavelengths"):

@@ -78,7 +78,6 @@ def test_a_lambertian_is_one_value():
         assert (np.abs(block - 0.5 / np.pi) <= 64 * EPS).all()
 
 
-@pytest.mark.usefixtures("mono")
 def test_finer_trees_lose_less(tmp_path, glossy, monkeypatch):
     """First order: cells that do not fit the record's patches."""
     lost = []
@@ -271,7 +270,6 @@ def test_text_before_the_declaration_is_passed_over():
         assert np.array_equal(block, again[key])
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize(("basis", "size"), [("tensor3", 8), ("tensor4", 8)])
 def test_every_incident_cell_keeps_its_light(tmp_path, basis, size):
     """As `goniometric` reads a tree of random cells: the sums over cells of exit.
@@ -300,7 +298,6 @@ def test_every_incident_cell_keeps_its_light(tmp_path, basis, size):
     assert not np.allclose(found[1:], np.roll(expected[1:], 1), rtol=0.01)  # twin
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_window_transmits_alike_from_everywhere(tmp_path):
     """Light goes straight on in one cell: 0.8, as Radiance has it, and no lobe less."""
     size, t = 16, 0.8

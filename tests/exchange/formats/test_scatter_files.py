@@ -256,7 +256,6 @@ def blurred(one, specular):
     return 13 / 64 * flow / one.dhr[0]
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("ending", ENDINGS)
 def test_a_record_goes_there_and_comes_back_as_a_material(
     tmp_path, ending, monkeypatch
@@ -291,7 +290,6 @@ def test_a_record_goes_there_and_comes_back_as_a_material(
     check_what_comes_back(one, record.flux_fraction[1], losses[1])
 
 
-@pytest.mark.usefixtures("mono")
 def test_merl_loses_what_is_between_incidences(tmp_path, monkeypatch):
     """Which a table of half and difference angles asks for: to first order at least."""
     monkeypatch.setattr(merl, "CELLS", (45, 45, 30))
@@ -303,7 +301,6 @@ def test_merl_loses_what_is_between_incidences(tmp_path, monkeypatch):
     assert (np.array(lost[1]) <= np.array(lost[0]) / 2).all()
 
 
-@pytest.mark.usefixtures("mono")
 def test_each_quantity_and_channel_has_a_file_of_zemax(tmp_path):
     record = synthetic.record(
         "projected:4x8", theta_i=(0, 30), phi_i=(0, 0), both=True,
@@ -320,7 +317,6 @@ def test_each_quantity_and_channel_has_a_file_of_zemax(tmp_path):
     assert read_scatter(tmp_path / names[2]).of(1)
 
 
-@pytest.mark.usefixtures("mono")
 def test_records_that_a_format_cannot_hold(tmp_path):
     coloured = synthetic.record("projected:4x8", channels=("R", "G", "B"))
     for name, message in (
@@ -347,7 +343,6 @@ def test_records_that_a_format_cannot_hold(tmp_path):
     assert gonio.compare(cones, table).passed
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.filterwarnings("ignore:the file describes light from the front only")
 @pytest.mark.filterwarnings("ignore:the front is not reciprocal")  # made-up lobes
 def test_tensor_trees_are_materials(tmp_path, monkeypatch):
@@ -369,7 +364,6 @@ def test_tensor_trees_are_materials(tmp_path, monkeypatch):
         check_what_comes_back(one, record.flux_fraction[2], losses[2])
 
 
-@pytest.mark.usefixtures("mono")
 def test_commands_export_and_measure(tmp_path, capsys):
     synthetic.record("projected:4x8", theta_i=(0, 40), phi_i=(0, 0)).save(
         tmp_path / "run.npz"
@@ -517,7 +511,6 @@ def test_raw_exports_of_an_instrument_are_refused(name, message):
         gonio.read_measured(real(name))
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_real_material_is_measured():
     path = real("planesymmetric.speos.anisotropicbsdf")
     material = {"type": "goniometric", "filename": str(path)}
@@ -638,7 +631,6 @@ def test_comments_make_no_file_of_alta(tmp_path, comment):
     assert gonio.read_measured(text_of(tmp_path, text)).value.tolist() == [0.4]
 
 
-@pytest.mark.usefixtures("mono")
 def test_a_format_that_is_added_is_read_written_and_named(tmp_path, monkeypatch):
     """By one list, of one module: a table, a material and an export of it."""
 

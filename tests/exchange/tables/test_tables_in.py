@@ -231,7 +231,6 @@ def test_units_below_the_names_colours_and_gaps(tmp_path):
     assert gonio.read_measured(written(tmp_path, rows)).channel == "450nm"
 
 
-@pytest.mark.usefixtures("mono")
 def test_commands_take_what_the_table_leaves_open(tmp_path, capsys):
     path = written(tmp_path, "a;b;550nm\n30;30;1,0\n30;-40;1,0\n")
     command = ["compare", "diffuse:reflectance=1", str(path), "--rays", "1e5"]
@@ -246,7 +245,6 @@ def test_commands_take_what_the_table_leaves_open(tmp_path, capsys):
     assert main([*command, *columns, *rest, "--uncertainty", "0.01"]) == 3
 
 
-@pytest.mark.usefixtures("mono")
 def test_what_was_asked_for_can_be_said(tmp_path, capsys):
     """The answers that the questions name are enough; --theta-i leads to them."""
     path = written(tmp_path, "theta_r,phi_r,brdf\n30,0,0.3183\n40,90,0.3183\n")

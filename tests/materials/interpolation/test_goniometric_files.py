@@ -48,7 +48,6 @@ def coarse(monkeypatch):
 # ---------------------------------------------------------------------------- memory
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("ending", [".npz", ".exr"])
 def test_loading_takes_the_memory_that_is_kept(tmp_path, monkeypatch, ending):
     """Up to a fifth more; twin: not where all batches of a record are read first."""

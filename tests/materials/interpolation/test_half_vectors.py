@@ -161,7 +161,6 @@ def test_what_was_not_measured_is_filled_in(eta):
         assert own < turned / 2
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("theta_i", [40, 75])
 def test_samples_follow_the_values(theta_i, tmp_path):
     """Also where light stays above the horizon; twin: of another azimuth."""

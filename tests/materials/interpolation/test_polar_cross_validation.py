@@ -23,8 +23,6 @@ from gonio_mi.materials.interpolation.lobes import MeasuredLobes
 from gonio_mi.materials.prediction import Prediction
 from gonio_mi.results.prediction_error import prediction_error
 
-pytestmark = pytest.mark.usefixtures("mono")
-
 ANGLES = (0, 20, 40, 60)
 
 # What double precision leaves of values that are found by one formula on two ways.

@@ -19,8 +19,6 @@ from gonio_mi.validation.versions.conformance import (
 )
 from gonio_mi.validation.versions.worker import all_said, said
 
-pytestmark = pytest.mark.usefixtures("mono")
-
 
 @pytest.fixture
 def few(monkeypatch):

@@ -81,7 +81,6 @@ def plugin(tmp_path):
     return str(path)
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize(
     ("changed", "differs"),
     [
@@ -107,7 +106,6 @@ def test_what_differs_is_named(tmp_path, plugin, changed, differs):
     assert found["albedo"].differs == ("albedo" in differs)
 
 
-@pytest.mark.usefixtures("mono")
 def test_command(tmp_path, plugin, capsys):
     other = str(disguised(tmp_path / "venv", "eval"))
     common = ["two_versions", "--plugin", plugin, "--against", other]
@@ -121,7 +119,6 @@ def test_command(tmp_path, plugin, capsys):
     assert "1 of 1 are the same" in capsys.readouterr().out
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize(
     ("changed", "differs"), [("nothing", set()), ("eval", {"eval"}), ("sample", None)]
 )
@@ -149,7 +146,6 @@ def test_two_saved_files(tmp_path, plugin, capsys, changed, differs):
     assert found.keys() == differs
 
 
-@pytest.mark.usefixtures("mono")
 def test_files_that_cannot_be_compared(tmp_path, capsys):
     own, seeded, two, nothing = (str(tmp_path / f"{name}.json") for name in "abcd")
     assert cli.main(["diff", "diffuse", "--save", own]) == 0
@@ -175,7 +171,6 @@ def test_files_that_cannot_be_compared(tmp_path, capsys):
         assert message in capsys.readouterr().err
 
 
-@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize(
     ("script", "error", "message"),
     [
@@ -192,7 +187,6 @@ def test_a_broken_environment_is_one_sentence(tmp_path, script, error, message):
     assert "\n" not in str(found.value)
 
 
-@pytest.mark.usefixtures("mono")
 def test_arguments(tmp_path):
     with pytest.raises(SettingError, match="no bin/python"):
         diff({"type": "diffuse"}, tmp_path)
