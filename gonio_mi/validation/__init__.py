@@ -17,8 +17,8 @@ OFFERS: dict[str, str] = {}
 
 # Public names by module.
 _module_of = {
-    "POLARISED": "evidence",
-    "PROPERTIES": "evidence",
+    "POLARISED": "questions",
+    "PROPERTIES": "questions",
     "Property": "verdict",
     "Verdict": "verdict",
     "check_report": "verdict_page",

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -44,6 +43,8 @@ class Condition:
         Wavelengths of the channels of a spectral variant.
     differentials : bool
         Whether rays have differentials of their texture coordinates.
+    lit : tuple of float or None
+        Unit vector to the source, if it is not that of the angles.
     """
 
     theta_i: float
@@ -56,13 +57,20 @@ class Condition:
     turned: bool = False
     nm: tuple[float, ...] = WAVELENGTHS_NM
     differentials: bool = False
+    lit: tuple[float, ...] | None = None
 
     @property
     def wi(self) -> Floats:
         """Unit vector to the source, shape (3,), in local coordinates."""
+        if self.lit is not None:
+            return np.array(self.lit)
         face = 1 if self.side == "front" else -1
         wi = direction(np.radians(self.theta_i), np.radians(self.phi_i))
         return wi * [1, 1, face]
+
+    def lit_from(self, wi: Floats) -> Condition:
+        """The same, lit from an arbitrary direction."""
+        return replace(self, lit=tuple((wi / np.linalg.norm(wi)).tolist()))
 
     @property
     def uvs(self) -> Floats:
@@ -196,19 +204,6 @@ class Sweep(Condition):
         return f"all angles of incidence{self._more}"
 
 
-class LitFrom:
-    """A condition lit from an arbitrary direction."""
-
-    def __init__(self, condition: Condition, wi: Floats) -> None:
-        self.wi, self._condition = wi / np.linalg.norm(wi), condition
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._condition, name)
-
-    def __str__(self) -> str:
-        return str(self._condition)
-
-
 def sides_of(bsdf: mi.BSDF) -> tuple[str, ...]:
     """Sides that the flags of a BSDF declare, the front first."""
     declared, kinds = int(bsdf.flags()), mi.BSDFFlags
@@ -319,26 +314,34 @@ class Effort:
 
 EFFORTS = {
     "quick": Effort(
-        2**17, 2**14, 2**15, 12, 16, (0, 40, 75, 89.9), (35,), (50,), threads=1
+        samples=2**17,
+        checked=2**14,
+        swept=2**15,
+        rings=12,
+        sectors=16,
+        angles=(0, 40, 75, 89.9),
+        map_angles=(35,),
+        few_angles=(50,),
+        threads=1,
     ),
     "normal": Effort(
-        2**20,
-        2**16,
-        2**18,
-        20,
-        32,
-        (0, 15, 30, 45, 60, 75, 85, 89, 89.9),
-        (0, 30, 60, 80, 89),
-        (20, 70),
+        samples=2**20,
+        checked=2**16,
+        swept=2**18,
+        rings=20,
+        sectors=32,
+        angles=(0, 15, 30, 45, 60, 75, 85, 89, 89.9),
+        map_angles=(0, 30, 60, 80, 89),
+        few_angles=(20, 70),
     ),
     "thorough": Effort(
-        2**23,
-        2**18,
-        2**20,
-        30,
-        60,
-        (0, 0.5, 5, 15, 30, 45, 60, 70, 75, 80, 85, 87, 89, 89.5, 89.9),
-        (0, 15, 30, 45, 60, 75, 85, 89, 89.9),
-        (0, 20, 45, 70, 88),
+        samples=2**23,
+        checked=2**18,
+        swept=2**20,
+        rings=30,
+        sectors=60,
+        angles=(0, 0.5, 5, 15, 30, 45, 60, 70, 75, 80, 85, 87, 89, 89.5, 89.9),
+        map_angles=(0, 15, 30, 45, 60, 75, 85, 89, 89.9),
+        few_angles=(0, 20, 45, 70, 88),
     ),
 }

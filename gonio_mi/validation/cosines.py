@@ -18,16 +18,26 @@ from ..single_precision import BSDF_ROUNDING
 from ..transport.bsdf_trial import PluginFault
 from .conditions import Condition
 from .evidence import BIAS, MODEL, Breach, Evidence
+from .mistakes import EVAL, Guess, Mistake
 from .probe import Probe, changed, number_parameters
 from .samples import SLACK, Samples, beyond_rounding, unequal
 
+
+class Cosine(Mistake):
+    """Wrong cosines of a `part`, or what would look so to all that was asked."""
+
+    LACKS = "{who} lacks the cosine of wo, or division by that of wi{part}"
+    TWICE = """{who} has the cosine of wo twice, or is divided by that of wi once too
+        often{part}"""
+    OF_WI = "{who} has the cosine of wi where that of wo is due{part}"
+    OF_A_LOBE = """{before}; the same asymmetry would result from one of several lobes
+        that {words}; validate each lobe alone (ctx.component, or set the other
+        reflectances to 0)"""
+
+
 # Mistake by the power k of which ``eval cos(theta_i)^k`` is the same with wi and wo
 # exchanged, apart from eta^2; 1 is right.
-COSINES = {
-    0: "`eval` lacks the cosine of wo, or division by that of wi",
-    2: "`eval` has the cosine of wo twice, or is divided by that of wi once too often",
-    -1: "`eval` has the cosine of wi where that of wo is due",
-}
+COSINES = {0: Cosine.LACKS, 2: Cosine.TWICE, -1: Cosine.OF_WI}
 
 # Fraction of the samples that must contradict reciprocity somewhere: an identity that
 # few of them tell from it says nothing.
@@ -42,11 +52,6 @@ HORIZON, N_AZIMUTHS, GRAZING, MIN_LEFT = 1e-3, 64, (60.0, 70.0, 80.0), 0.9
 # lobes follows; and the least logarithm of a ratio of cosines that tells exponents.
 MAX_EXPONENT_RANGE, MIN_LOG_RATIO = 0.01, 0.1
 
-MIXED = (
-    "the same asymmetry would result from one of several lobes that {mistake}; "
-    "validate each lobe alone (ctx.component, or set the other reflectances to 0)"
-)
-
 
 def explain_reciprocity(evidence: Evidence) -> None:
     """Explain a lack of reciprocity by a power of the cosines, if one does.
@@ -58,7 +63,7 @@ def explain_reciprocity(evidence: Evidence) -> None:
     which stays lit as wo falls to the horizon. One that means it so (Phong's, of 1975,
     has no cosine) can declare NonSymmetric.
     """
-    found = [b for b in evidence.of("reciprocity") if b.function == "eval"]
+    found = [b for b in evidence.of("reciprocity") if b.guess.functions is EVAL]
     own = [b for b in found if b.effect == MODEL]
     whole = [one for one in evidence.whole if one.condition.mode == "importance"]
     # a face of its own may be right
@@ -66,28 +71,28 @@ def explain_reciprocity(evidence: Evidence) -> None:
     whole = [one for one in whole if one.condition.side in wrong]
     power = _power(whole) if len(own) > 1 else None
     if power is not None:
-        _blame(evidence, own, COSINES[power])
+        _blame(evidence, own, COSINES[power](EVAL, part=""))
         return
-    apart = _component_mistake(evidence)
-    if own and not apart:
-        apart = _parameter_mistake(evidence.bsdf, whole) or _horizon_mistake(
-            evidence.bsdf, whole
-        )
-    if apart:
-        _blame(evidence, [max(own or found, key=lambda b: b.size)], apart)
+    guess = _guess_of_components(evidence)
+    if own and not guess:
+        guess = _guess_of_parameters(evidence.bsdf, whole)
+        guess = guess or _guess_at_the_horizon(evidence.bsdf, whole)
+    if guess:
+        _blame(evidence, [max(own or found, key=lambda b: b.size)], guess)
     elif own and not _components_tell(evidence):
         for power in COSINES:
             if all(_is_sum(one, power) for one in whole) and not _is_one_law(whole):
-                text = MIXED.format(mistake=COSINES[power].removeprefix("`eval` "))
+                words = COSINES[power].sentence.format(who="", part="").strip()
                 for one in own:
-                    evidence.change([one], mistake=f"{one.mistake}; {text}")
+                    text = {"before": str(one.guess), "words": words}
+                    evidence.change([one], guess=Cosine.OF_A_LOBE(EVAL, **text))
                 return
 
 
-def _blame(evidence: Evidence, own: Sequence[Breach], mistake: str) -> None:
+def _blame(evidence: Evidence, own: Sequence[Breach], guess: Guess) -> None:
     """Make breaches ones that bias images, by a mistake."""
     for one in own:
-        evidence.change([one], effect=BIAS, mistake=mistake, size=1 + one.size)
+        evidence.change([one], effect=BIAS, guess=guess, size=1 + one.size)
 
 
 def _components_tell(evidence: Evidence) -> bool:
@@ -95,20 +100,20 @@ def _components_tell(evidence: Evidence) -> bool:
     return evidence.bsdf.component_count() > 1 and not evidence.of("components")
 
 
-def _component_mistake(evidence: Evidence) -> str:
-    """Mistake of one component on its own; empty if none has one."""
+def _guess_of_components(evidence: Evidence) -> Guess | None:
+    """Mistake of one component on its own; None if none has one."""
     bsdf = evidence.bsdf
     for i in range(bsdf.component_count() if _components_tell(evidence) else 0):
         own = [one for one in evidence.samples if one.condition.component == i]
         declared = int(bsdf.flags(i)) & int(mi.BSDFFlags.NonSymmetric)
         power = None if declared else _power(own)
         if power is not None:
-            return f"{COSINES[power]}, in its component {i}"
-    return ""
+            return COSINES[power](EVAL, part=f", in its component {i}")
+    return None
 
 
-def _parameter_mistake(bsdf: mi.BSDF, whole: Sequence[Samples]) -> str:
-    """Mistake of the part of ``eval`` that a parameter changes; empty if none."""
+def _guess_of_parameters(bsdf: mi.BSDF, whole: Sequence[Samples]) -> Guess | None:
+    """Mistake of the part of ``eval`` that a parameter changes; None if none."""
     try:
         for name, value in number_parameters(bsdf)[1].items():
             if not np.any(np.array(value)):
@@ -117,11 +122,11 @@ def _parameter_mistake(bsdf: mi.BSDF, whole: Sequence[Samples]) -> str:
                 parts = [_part(bsdf, samples) for samples in whole]
             power = _power(parts)
             if power is not None:
-                part = f"in the part of it that the parameter {name} changes"
-                return f"{COSINES[power]}, {part}"
+                part = f", in the part of it that the parameter {name} changes"
+                return COSINES[power](EVAL, part=part)
     except PluginFault:
         pass  # a property of its own
-    return ""
+    return None
 
 
 def _part(bsdf: mi.BSDF, samples: Samples) -> Samples:
@@ -148,8 +153,8 @@ def _reversed(probe: Probe, wo: Floats) -> Floats:
     return probe.values(np.broadcast_to(probe.condition.wi, wo.shape), wo)
 
 
-def _horizon_mistake(bsdf: mi.BSDF, whole: Sequence[Samples]) -> str:
-    """Mistake of one lobe that cannot be asked alone; empty if it is not certain."""
+def _guess_at_the_horizon(bsdf: mi.BSDF, whole: Sequence[Samples]) -> Guess | None:
+    """Mistake of one lobe that cannot be asked alone; None if it is not certain."""
     lit = [
         Condition(theta, 25.0, side)
         for side in {samples.condition.side for samples in whole}
@@ -159,11 +164,9 @@ def _horizon_mistake(bsdf: mi.BSDF, whole: Sequence[Samples]) -> str:
         if all(_is_sum(samples, power) for samples in whole) and all(
             _stays_lit(bsdf, condition, power) for condition in lit
         ):
-            return (
-                f"{COSINES[power]}, in one lobe of several: it does not fall to 0 "
-                "as wo falls to the horizon"
-            )
-    return ""
+            part = "it does not fall to 0 as wo falls to the horizon"
+            return COSINES[power](EVAL, part=f", in one lobe of several: {part}")
+    return None
 
 
 def _stays_lit(bsdf: mi.BSDF, condition: Condition, power: int) -> bool:

@@ -8,18 +8,28 @@ them tells the mistake (:mod:`.factors`); where counts and ``pdf`` differ, a fac
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import product
-from typing import TypeAlias
 
+import mitsuba as mi
 import numpy as np
 
 from ..array_types import Floats
 from ..single_precision import BSDF_ROUNDING
 from .checks.components import alone, are_apart
-from .evidence import EFFECTS, INTERFACE, MODEL, NOISE, Evidence
-from .factors import FACTORS, explain, explain_weights, factor, ratios_of
+from .evidence import EFFECTS, INTERFACE, MODEL, NOISE, Evidence, Question
+from .factors import (
+    FACTORS,
+    OF_PDF,
+    OF_SAMPLED_PDF,
+    explain,
+    explain_weights,
+    factor,
+    ratios_of,
+)
 from .maps import FourMaps
+from .mistakes import PDF, SAMPLE, Function, Guess, Mistake
 from .probe import numbers, vectors
 from .samples import Samples, beyond_rounding, samples_of, unequal
 from .tally import groups, patch_of
@@ -28,11 +38,39 @@ from .tally import groups, patch_of
 # but a smaller one beside it, and explains nothing.
 MAX_MINOR = 0.2
 
-# Guilty function, and mistake.
-Guess: TypeAlias = "tuple[str, str]"
+
+class Diagnosis(Mistake):
+    """What is wrong by all that fails together."""
+
+    ANY = "`sample` or `eval` is wrong"
+    NOT_DIVIDED_BY_CHANCE = """{who} weight lacks division by the probability with which
+        a direction is not rejected"""
+    ONE_COMPONENT = "{who} is that of component {component} alone"
+    PLAIN_SUM = "{who} is the sum of its components', without the probability of each"
+    TURNED = "{who} draws directions {how}"
+    OUTSIDE = "{who} draws {part:.3g} of its directions where `pdf` is 0"
+    NEVER_ON_A_SIDE = """{who} integrates to {mass:.3g} on a side where `sample` never
+        goes, at {place}"""
+    SIDE_LEFT_OUT = """{who} never goes to a side where `pdf` integrates to {mass:.3g}
+        and `eval` is lit, at {place}"""
+    LOST = """{who} gives no direction for {part:.4g} of its numbers, where `pdf`
+        integrates to 1"""
+    MASS = "{sums}"
+    NOT_OF_SAMPLE = """{who} is not the density of `sample`, whose weights are right
+        ({sums})"""
+    OTHER_PROBABILITY = """{who}: directions are drawn with another probability than
+        `pdf` says: {where}"""
+    OTHER_LOBES = """{who} draws lobes or directions with another probability than `pdf`
+        says: {where}"""
+    OTHER_DIRECTIONS = """{who} draws directions with another probability than `pdf`
+        says: {where}"""
+    FACTOR_OF_PDF = "{who} {of_pdf} ({sums})"
+    FACTOR_OF_SAMPLE = "{who}: its density {of_sample} ({sums})"
+    FACTOR_OF_EITHER = "`pdf` {of_pdf}, or the density of `sample` {of_sample} ({sums})"
+
 
 # What is left where nothing explains a failure.
-ANY = "sample", "`sample` or `eval` is wrong"
+ANY = Diagnosis.ANY(SAMPLE)
 
 
 def likely_mistake(
@@ -47,124 +85,97 @@ def likely_mistake(
     evidence : Evidence
     failed, shares : dict
         Effect by name of property, and share of the light that it is about.
-
-    Returns
-    -------
-    function, mistake : str
     """
     worst = min(failed.values(), key=EFFECTS.index)
-    own = {name: shares[name] for name in failed if failed[name] == worst}
-    largest = max((x for x in own.values() if x is not None), default=0.0)
-    minor = {n for n, x in own.items() if x is not None and x < MAX_MINOR * largest}
-    if "weights" in failed and "sampled_weight" not in failed:
-        # each weight is right where it was drawn: only counts explain a wrong mean
-        minor.discard("sampling")
-    failed = {name: effect for name, effect in failed.items() if name not in minor}
-    names = [name for name in EXPLAINED_BY if failed.get(name) == worst]
-    if worst == MODEL:
-        # a law that a model may choose
-        names.sort(key=lambda name: name == "delta")
-    for name in names:
-        found = EXPLAINED_BY[name](evidence, failed, name)
-        if found is not None:
-            return found
+    if not mi.is_polarized:
+        own = {name: shares[name] for name in failed if failed[name] == worst}
+        largest = max((x for x in own.values() if x is not None), default=0.0)
+        minor = {n for n, x in own.items() if x is not None and x < MAX_MINOR * largest}
+        if "weights" in failed and "sampled_weight" not in failed:
+            # each weight is right where it was drawn: only counts explain a wrong mean
+            minor.discard("sampling")
+        failed = {name: effect for name, effect in failed.items() if name not in minor}
+
+    def rank(one: Question) -> tuple[bool, int, int]:
+        """What explains others first, but for a law that a model may choose."""
+        chosen = worst == MODEL and one.name == "delta"
+        return chosen, one.explains, EFFECTS.index(failed[one.name])
+
+    questions = [one for one in evidence.questions if one.name in failed]
+    if not mi.is_polarized:
+        questions = [one for one in questions if failed[one.name] == worst]
+    for question in sorted(questions, key=rank):
+        if question.identity:
+            return _odd_function(evidence, failed)
+        if question.explain is not None:
+            guess = question.explain(evidence)
+        else:
+            guess = evidence.guess(question.name) or evidence.suspect(question.name)
+        if guess is not None:
+            return guess
     return ANY
 
 
-def _worst_breach_guess(
-    evidence: Evidence, _: Mapping[str, str], name: str
-) -> Guess | None:
-    """Guess by the worst breach of a property."""
-    worst = evidence.worst(name)
-    if name == "eval_pdf_sample":
-        # a mistake of eval_pdf explains both
-        worst = next(iter(evidence.of("eval_pdf")), worst)
-    if worst is None and name == "parameters":
-        return evidence.suspects.get(name, ANY)
-    if worst is None and name == "delta":
-        return "sample", "`sample`: the pdf of a discrete lobe is not its probability"
-    return None if worst is None else (worst.function, worst.mistake)
+# ------------------------------------------------ what contradicts the other functions
 
 
-def _energy_guess(evidence: Evidence, _: Mapping[str, str], __: str) -> Guess:
-    """Guess whether ``eval`` or the weights of discrete lobes gain or lose light."""
-    totals = [m.smooth_flux.max() + m.totals.delta_mean.max() for m in evidence.maps]
-    discrete = any(m.totals.delta_mean.max() > 1 + 1e-4 for m in evidence.maps)
-    weights = [b for b in evidence.of("components") if b.function == "sample"]
-    mixed = any(m.totals.delta_mean.any() for m in evidence.maps)
-    if weights and mixed and not discrete:
-        return "sample", weights[0].mistake
-    function = "sample" if discrete else "eval"
-    most = max(totals, default=1.0)
-    if most < 1:  # a phase function, which absorbs nothing
-        return function, f"`{function}` loses light: {min(totals):.4g} of it leaves"
-    return function, f"`{function}` gains light: {most:.4g} of it leaves"
-
-
-def _odd_function_guess(
-    evidence: Evidence, failed: Mapping[str, str], _: str
-) -> Guess | None:
+def _odd_function(evidence: Evidence, failed: Mapping[str, str]) -> Guess:
     """Guess which of ``sample``, ``pdf`` and ``eval`` contradicts the two others."""
-    if failed.get("sampled_weight") == NOISE:
-        if "weights" not in failed:
-            noisy = [b for b in evidence.of("sampled_weight") if b.effect == NOISE]
-            return noisy[0].function, noisy[0].mistake
-        return "sample", (
-            "`sample` weight lacks division by the probability with which a direction "
-            "is not rejected"
-        )
-    dark = _worst_breach_guess(evidence, failed, "weights")
-    if dark and "weights" in failed:
-        # one of them is 0 where another is not
-        return dark
-    excess = _worst_breach_guess(evidence, failed, "sampling")
-    if excess and failed.get("sampling") == INTERFACE:
-        return excess
-    if "sampling" not in failed:
-        if "sampled_pdf" in failed:
-            return "sample", explain(ratios_of(evidence, "sampled_pdf"), "sampled_pdf")
-        if "weights" in failed and not evidence.of("sampled_weight"):
-            return _counts_guess(evidence, weights_fail=True)
-        return explain_weights(evidence, failed)
-    lobes = _lobes(evidence)
-    if lobes:
-        return "pdf", f"`pdf` {lobes}"
-    wrong_weights = "sampled_weight" in failed or "weights" in failed
-    if evidence.of("sampled_pdf") and not wrong_weights:
-        return "pdf", explain(ratios_of(evidence, "pdf"), "pdf")
+    return next(filter(None, (guess(evidence, failed) for guess in ODD)))
+
+
+def _noise(evidence: Evidence, failed: Mapping[str, str]) -> Guess | None:
+    """Weights that make up for directions rejected at random, or should."""
+    if failed.get("sampled_weight") != NOISE:
+        return None
+    if "weights" in failed:
+        return Diagnosis.NOT_DIVIDED_BY_CHANCE(SAMPLE)
+    noisy = [b for b in evidence.of("sampled_weight") if b.effect == NOISE]
+    return noisy[0].guess
+
+
+def _dark(evidence: Evidence, failed: Mapping[str, str]) -> Guess | None:
+    """One of them is 0 where another is not."""
+    return evidence.guess("weights") if "weights" in failed else None
+
+
+def _unused(evidence: Evidence, failed: Mapping[str, str]) -> Guess | None:
+    """A density where no light is."""
+    harmless = failed.get("sampling") == INTERFACE
+    return evidence.guess("sampling") if harmless else None
+
+
+def _without_counts(evidence: Evidence, failed: Mapping[str, str]) -> Guess | None:
+    """Where directions are drawn with the density of ``pdf``, as far as is known."""
+    if "sampling" in failed:
+        return None
+    if "sampled_pdf" in failed:
+        return explain(ratios_of(evidence, OF_SAMPLED_PDF), OF_SAMPLED_PDF)
+    if "weights" in failed and not evidence.of("sampled_weight"):
+        return _counts_guess(evidence, weights_fail=True)
+    return explain_weights(evidence, failed)
+
+
+def _density(evidence: Evidence, failed: Mapping[str, str]) -> Guess | None:
+    """A factor of ``pdf``, where `sample` returns another one and weights are right."""
+    if "sampled_weight" in failed or "weights" in failed:
+        return None
+    wrong = evidence.of("sampled_pdf")
+    return explain(ratios_of(evidence, OF_PDF), OF_PDF) if wrong else None
+
+
+def _counts(evidence: Evidence, failed: Mapping[str, str]) -> Guess:
+    """Directions against ``pdf``."""
     # a weight that is `eval` over a wrong `pdf` is wrong, too
     by_pdf = not (evidence.of("sampled_weight") or evidence.of("sampled_pdf"))
     return _counts_guess(evidence, by_pdf or "weights" in failed)
 
 
-# What is looked at first explains what comes later.
-EXPLAINED_BY: dict[str, Callable[[Evidence, Mapping[str, str], str], Guess | None]] = {
-    "answers": _worst_breach_guess,
-    "directions": _worst_breach_guess,
-    "delta": _worst_breach_guess,
-    "sampling": _odd_function_guess,
-    "sampled_pdf": _odd_function_guess,
-    "sampled_weight": _odd_function_guess,
-    "weights": _odd_function_guess,
-    "eval_pdf": _worst_breach_guess,
-    "eval_pdf_sample": _worst_breach_guess,
-    "energy": _energy_guess,
-    "continuity": _worst_breach_guess,
-    "reciprocity": _worst_breach_guess,
-    "adjoint": _worst_breach_guess,
-    "flags": _worst_breach_guess,
-    "masks": _worst_breach_guess,
-    "components": _worst_breach_guess,
-    "ends": _worst_breach_guess,
-    "parameters": _worst_breach_guess,
-}
-
-
-def _lobes(evidence: Evidence) -> str:
-    """How ``pdf`` combines its components wrongly; empty if it is their mixture."""
+def _lobes(evidence: Evidence, _: Mapping[str, str]) -> Guess | None:
+    """How ``pdf`` combines its components wrongly; None if it is their mixture."""
     samples = evidence.whole[0]
     if evidence.bsdf.component_count() < 2 or not samples.smooth.any():
-        return ""
+        return None
     each = alone(evidence, samples)
 
     def is_it(density: Floats) -> bool:
@@ -172,13 +183,16 @@ def _lobes(evidence: Evidence) -> str:
         return not beyond_rounding(differs)
 
     if not are_apart(evidence.bsdf, samples, each):
-        return ""  # no component can be asked alone
+        return None  # no component can be asked alone
     own = [i for i, density in enumerate(each.pdf) if is_it(density)]
     if len(own) == 1:
-        return f"is that of component {own[0]} alone"
-    if not own and is_it(each.pdf.sum(axis=0)):
-        return "is the sum of its components', without the probability of each"
-    return ""
+        return Diagnosis.ONE_COMPONENT(PDF, component=own[0])
+    whole = not own and is_it(each.pdf.sum(axis=0))
+    return Diagnosis.PLAIN_SUM(PDF) if whole else None
+
+
+# What is asked in turn; the first that knows tells.
+ODD = (_noise, _dark, _unused, _without_counts, _lobes, _density, _counts)
 
 
 # --------------------------------------------------- directions that are not of `pdf`
@@ -203,98 +217,128 @@ MAX_LOST = 1e-3
 # `sample` at most the rest are where `pdf` is not 0.
 MIN_DIRECTED = 0.9
 
-# Guilty where nothing tells.
-EITHER = "pdf or sample"
-
 # Factors that may distort a density.
 DISTORTIONS = ("cos_o", "jacobian", "dot", "cos_h", "sin_o", "two", "pi", "four")
 
 
-def _sums_text(due: float, share: float, n: int) -> str:
-    """Text on the integral of ``pdf`` and the share of `n` samples it should equal."""
-    std_err = np.sqrt(max(share * (1 - share), 0) / n)
-    return (
-        f"`pdf` integrates to {due:.4f}, where it should equal the sampled mass of "
-        f"{share:.4f} +- {std_err:.1g} (std_err)"
-    )
+@dataclass(frozen=True)
+class _Counted:
+    """Directions that were counted in maps, all of the `whole` or one the worst.
+
+    Where `weights_fail`, these are not those of the true density.
+    """
+
+    evidence: Evidence
+    whole: Sequence[FourMaps]
+    maps: FourMaps
+    weights_fail: bool
+
+    @property
+    def drawn(self) -> Floats:
+        """Share of the samples, by patch."""
+        return self.maps.totals.counts / self.maps.totals.n
+
+    @property
+    def due(self) -> Floats:
+        """Integral of ``pdf``, by patch."""
+        return self.maps.pdf
+
+    @property
+    def missing(self) -> float:
+        """Share of the samples that have no direction."""
+        return 1 - float(self.drawn.sum())
+
+    @property
+    def sums(self) -> str:
+        """Text on the integral of ``pdf`` and the share that it should equal."""
+        share = self.drawn.sum()
+        std_err = np.sqrt(max(share * (1 - share), 0) / self.maps.totals.n)
+        return (
+            f"`pdf` integrates to {self.due.sum():.4f}, where it should equal the "
+            f"sampled mass of {share:.4f} +- {std_err:.1g} (std_err)"
+        )
 
 
 def _counts_guess(evidence: Evidence, weights_fail: bool) -> Guess:
     """Function and mistake, where counted directions contradict ``pdf``."""
     whole = [m for m in evidence.maps if m.condition.component is None]
+    suspect = evidence.suspect("sampling")
     if not whole:
-        return evidence.suspects.get("sampling", ANY)
+        return suspect or ANY
     # one component says less, unless it is all that is wrong
     maps = max(whole, key=_misfit)
     if _misfit(maps) < MAX_CHANCE:
         maps = max(evidence.maps, key=_misfit)
-    if _misfit(maps) < MAX_CHANCE and "sampling" in evidence.suspects:
+    if suspect and _misfit(maps) < MAX_CHANCE:
         # only in a band or sector of incidence, that maps have not met
-        return evidence.suspects["sampling"]
-    n = maps.totals.n
-    drawn, due = maps.totals.counts / n, maps.pdf
-    sums = _sums_text(due.sum(), drawn.sum(), n)
-    turned = next(filter(None, map(_turned, evidence.maps)), "")
-    if turned:
-        return "sample", f"`sample` draws directions {turned}"
-    outside = drawn[due < 1e-6].sum()
-    if outside > 0.02 * drawn.sum():
-        return (
-            "sample",
-            f"`sample` draws {outside:.3g} of its directions where `pdf` is 0",
-        )
-    by_side = _guess_of_a_side(evidence, maps)
-    if by_side:
-        return by_side
-    distortion = _distortion(evidence, whole)
-    if distortion:
-        return _distortion_guess(evidence, distortion, whole, weights_fail, sums)
-    integral, missing = _mass_of_pdf(maps), 1 - drawn.sum()
-    if abs(integral - 1) < MAX_LOST < missing and maps.count_scores.total < -5:
-        return "sample", (
-            f"`sample` gives no direction for {missing:.4g} of its numbers, "
-            "where `pdf` integrates to 1"
-        )
-    if due.sum() > 1.001 or _is_proportional(maps):
-        return "pdf", sums
-    if not weights_fail:
-        return "pdf", (
-            f"`pdf` is not the density of `sample`, whose weights are right ({sums})"
-        )
-    where = f"{_worst_patch(maps)} ({sums})"
-    lobes = {int(c) for s in evidence.samples for c in np.unique(s.component[s.smooth])}
-    if len(lobes) == 1 and abs(integral - 1) > MAX_LOST:
-        # a density that is not complete may be the wrong one as well
-        return EITHER, (
-            "`sample` or `pdf`: directions are drawn with another probability than "
-            f"`pdf` says: {where}"
-        )
-    what = "lobes or directions" if len(lobes) > 1 else "directions"
-    return "sample", (
-        f"`sample` draws {what} with another probability than `pdf` says: {where}"
-    )
+        return suspect
+    counted = _Counted(evidence, whole, maps, weights_fail)
+    return next(filter(None, (guess(counted) for guess in OF_COUNTS)))
 
 
-def _guess_of_a_side(evidence: Evidence, maps: FourMaps) -> Guess | None:
-    """Function and mistake if directions never go to a side; None if they do.
+def _as_turned(counted: _Counted) -> Guess | None:
+    """Directions that are turned or mirrored."""
+    how = next(filter(None, map(_turned, counted.evidence.maps)), "")
+    return Diagnosis.TURNED(SAMPLE, how=how) if how else None
+
+
+def _outside(counted: _Counted) -> Guess | None:
+    """Directions where ``pdf`` is 0."""
+    outside = counted.drawn[counted.due < 1e-6].sum()
+    some = outside > 0.02 * counted.drawn.sum()
+    return Diagnosis.OUTSIDE(SAMPLE, part=outside) if some else None
+
+
+def _beside(counted: _Counted) -> Guess | None:
+    """Directions that never go to a side.
 
     ``eval`` is lit there: it is ``pdf`` only if no probability is left for that side.
     """
-    drawn, due = maps.totals.counts.reshape(2, -1) / maps.totals.n, maps.pdf
-    never = due.reshape(2, -1)[drawn.sum(axis=1) == 0].sum()
+    maps, drawn, due = counted.maps, counted.drawn, counted.due
+    never = due.reshape(2, -1)[drawn.reshape(2, -1).sum(axis=1) == 0].sum()
     if never < 1e-3:
         return None
-    samples = samples_of(evidence.bsdf, maps.condition, N_REDRAWN, (0, 72))
+    bsdf = counted.evidence.bsdf
+    samples = samples_of(bsdf, maps.condition, N_REDRAWN, (0, 72))
     complete = samples.given.mean() > 1 - MAX_LOST
+    where = {"mass": never, "place": maps.condition}
     if complete and due.sum() - drawn.sum() > never / 2:
-        return "pdf", (
-            f"`pdf` integrates to {never:.3g} on a side where `sample` never goes, "
-            f"at {maps.condition}"
-        )
-    return "sample", (
-        f"`sample` never goes to a side where `pdf` integrates to {never:.3g} and "
-        f"`eval` is lit, at {maps.condition}"
-    )
+        return Diagnosis.NEVER_ON_A_SIDE(PDF, **where)
+    return Diagnosis.SIDE_LEFT_OUT(SAMPLE, **where)
+
+
+def _lost(counted: _Counted) -> Guess | None:
+    """Samples without a direction, where ``pdf`` leaves none out."""
+    complete = abs(_mass_of_pdf(counted.maps) - 1) < MAX_LOST < counted.missing
+    if complete and counted.maps.count_scores.total < -5:
+        return Diagnosis.LOST(SAMPLE, part=counted.missing)
+    return None
+
+
+def _unnormalised(counted: _Counted) -> Guess | None:
+    """A density with a constant factor, or of more than all."""
+    if counted.due.sum() > 1.001 or _is_proportional(counted.maps):
+        return Diagnosis.MASS(PDF, sums=counted.sums)
+    return None
+
+
+def _of_right_weights(counted: _Counted) -> Guess | None:
+    """A density that right weights do not have."""
+    right = not counted.weights_fail
+    return Diagnosis.NOT_OF_SAMPLE(PDF, sums=counted.sums) if right else None
+
+
+def _otherwise(counted: _Counted) -> Guess:
+    """Directions that are drawn with another probability."""
+    where = f"{_worst_patch(counted.maps)} ({counted.sums})"
+    samples = counted.evidence.samples
+    lobes = {int(c) for s in samples for c in np.unique(s.component[s.smooth])}
+    if len(lobes) > 1:
+        return Diagnosis.OTHER_LOBES(SAMPLE, where=where)
+    if lobes and abs(_mass_of_pdf(counted.maps) - 1) > MAX_LOST:
+        # a density that is not complete may be the wrong one as well
+        return Diagnosis.OTHER_PROBABILITY(SAMPLE | PDF, where=where)
+    return Diagnosis.OTHER_DIRECTIONS(SAMPLE, where=where)
 
 
 def _misfit(maps: FourMaps) -> float:
@@ -370,9 +414,47 @@ def _worst_patch(maps: FourMaps) -> str:
     )
 
 
-def _distortion(
-    evidence: Evidence, whole: Sequence[FourMaps]
-) -> tuple[str, int] | None:
+def _distorted(counted: _Counted) -> Guess | None:
+    """Which of ``pdf`` and ``sample`` has a factor that the other has not.
+
+    Right weights are those of the true density: then ``pdf`` is wrong. So it is if it
+    integrates to more than 1, or to less though every number gives a direction; where
+    it integrates to 1 and directions are lost, ``sample`` is. Else those that are lost
+    may tell, or either may be wrong.
+    """
+    whole, bsdf = counted.whole, counted.evidence.bsdf
+    found = _distortion(bsdf, whole)
+    if found is None:
+        return None
+    name, power = found
+    words = (f"lacks {FACTORS[name]}", f"has {FACTORS[name]} too much")
+    of_pdf, of_sample = words if power > 0 else reversed(words)
+    by_pdf = np.array([_mass_of_pdf(maps) for maps in whole])
+    drawn = [maps.totals.counts.sum() / maps.totals.n for maps in whole]
+    lost = any(1 - mass > MAX_LOST for mass in drawn)
+    complete = bool((abs(by_pdf - 1) < MAX_LOST).all())
+    guilty = PDF
+    if counted.weights_fail and complete and lost:
+        guilty = SAMPLE
+    elif counted.weights_fail and (complete or lost) and (by_pdf < 1 + MAX_LOST).all():
+        samples = samples_of(bsdf, whole[0].condition, N_REDRAWN, (0, 71))
+        guilty = _by_lost_samples(samples, name, power)
+    mistake = {
+        PDF: Diagnosis.FACTOR_OF_PDF,
+        SAMPLE: Diagnosis.FACTOR_OF_SAMPLE,
+        SAMPLE | PDF: Diagnosis.FACTOR_OF_EITHER,
+    }[guilty]
+    return mistake(guilty, of_pdf=of_pdf, of_sample=of_sample, sums=counted.sums)
+
+
+# What is asked in turn of counts; the first that knows tells.
+OF_COUNTS = (
+    *(_as_turned, _outside, _beside, _distorted, _lost, _unnormalised),
+    *(_of_right_weights, _otherwise),
+)
+
+
+def _distortion(bsdf: mi.BSDF, whole: Sequence[FourMaps]) -> tuple[str, int] | None:
     """Name and power of the factor by which ``pdf`` is less than the true density.
 
     None if none fits.
@@ -382,7 +464,7 @@ def _distortion(
     """
     scores: dict[tuple[str, int], list[Floats]] = {}
     for i, maps in enumerate(whole):
-        samples = samples_of(evidence.bsdf, maps.condition, N_REDRAWN, (i, 71))
+        samples = samples_of(bsdf, maps.condition, N_REDRAWN, (i, 71))
         ok = samples.smooth
         index = patch_of(maps.subdivision, maps.condition, vectors(samples.wo[ok]))
         patch = numbers(index, int(ok.sum()))
@@ -411,41 +493,7 @@ def _distortion(
     return name, power
 
 
-def _distortion_guess(
-    evidence: Evidence,
-    distortion: tuple[str, int],
-    whole: Sequence[FourMaps],
-    weights_fail: bool,
-    sums: str,
-) -> Guess:
-    """Which of ``pdf`` and ``sample`` has a factor that the other has not.
-
-    Right weights are those of the true density: then ``pdf`` is wrong. So it is if it
-    integrates to more than 1, or to less though every number gives a direction; where
-    it integrates to 1 and directions are lost, ``sample`` is. Else those that are lost
-    may tell, or either may be wrong.
-    """
-    name, power = distortion
-    words = (f"lacks {FACTORS[name]}", f"has {FACTORS[name]} too much")
-    of_pdf, of_sample = words if power > 0 else reversed(words)
-    by_pdf = np.array([_mass_of_pdf(maps) for maps in whole])
-    counted = [maps.totals.counts.sum() / maps.totals.n for maps in whole]
-    lost = any(1 - mass > MAX_LOST for mass in counted)
-    complete = bool((abs(by_pdf - 1) < MAX_LOST).all())
-    guilty = "pdf"
-    if weights_fail and complete and lost:
-        guilty = "sample"
-    elif weights_fail and (complete or lost) and (by_pdf < 1 + MAX_LOST).all():
-        samples = samples_of(evidence.bsdf, whole[0].condition, N_REDRAWN, (0, 71))
-        guilty = _by_lost_samples(samples, *distortion)
-    return guilty, {
-        "pdf": f"`pdf` {of_pdf} ({sums})",
-        "sample": f"`sample`: its density {of_sample} ({sums})",
-        EITHER: f"`pdf` {of_pdf}, or the density of `sample` {of_sample} ({sums})",
-    }[guilty]
-
-
-def _by_lost_samples(samples: Samples, name: str, power: int) -> str:
+def _by_lost_samples(samples: Samples, name: str, power: int) -> Function:
     """Whether the directions of lost samples show ``pdf`` or ``sample`` to be wrong.
 
     `sample` should lose none where ``pdf`` is not 0; else the lost ones are drawn with
@@ -455,11 +503,11 @@ def _by_lost_samples(samples: Samples, name: str, power: int) -> str:
     lost = ~samples.given
     directed = lost & (np.abs(length - 1) < BSDF_ROUNDING)
     if np.count_nonzero(directed) < MIN_DIRECTED * np.count_nonzero(lost):
-        return EITHER
+        return SAMPLE | PDF
     if directed.any() and np.mean(samples.pdf[directed] > 0) > 1 - MIN_DIRECTED:
-        return "sample"
+        return SAMPLE
     by_pdf = np.zeros(samples.n)
     every = samples.smooth | directed
     by_pdf[every] = factor(name, samples, every) ** -power
     std_err = np.std(by_pdf) / np.sqrt(samples.n)
-    return "pdf" if np.mean(by_pdf) - 1 > max(MAX_LOST, 5 * std_err) else EITHER
+    return PDF if np.mean(by_pdf) - 1 > max(MAX_LOST, 5 * std_err) else SAMPLE | PDF

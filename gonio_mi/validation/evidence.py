@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import mitsuba as mi
 import numpy as np
@@ -15,6 +15,7 @@ from ..single_precision import BSDF_ROUNDING
 from .conditions import Condition
 from .kinds import Kind, MatrixKind
 from .maps import FourMaps
+from .mistakes import Guess
 from .samples import Samples, beyond_rounding
 
 # What a failure does to an image, the worst first.
@@ -26,91 +27,17 @@ INTERFACE = "interface only (no effect on images)"
 COST = "adds cost"  # never a failure
 EFFECTS = (BIAS, BREAKS, NOISE, MODEL, INTERFACE)
 
-# What a BSDF should have, in the order of a verdict.
-PROPERTIES = {
-    "answers": "all functions answer, with finite values of at least 0",
-    "directions": "sampled directions are unit vectors on the side of their type",
-    "sampling": "directions are drawn with the density of `pdf`",
-    "weights": "the mean of sampled weights is the integral of `eval`",
-    "sampled_pdf": "the pdf that `sample` returns is that of `pdf`",
-    "sampled_weight": "weight times pdf is `eval`",
-    "eval_pdf": "`eval_pdf` answers as `eval` and `pdf`",
-    "eval_pdf_sample": "`eval_pdf_sample` answers as the separate functions",
-    "energy": "no more flux leaves than arrives",
-    "continuity": "no jump at normal incidence, nothing black before the horizon",
-    "reciprocity": "source and detector can be exchanged, with a factor eta^2",
-    "adjoint": "radiance and importance mode are adjoint to each other",
-    "delta": "discrete lobes have one direction, weight and probability",
-    "flags": "flags declare the observed behaviour",
-    "components": "components add up to the whole",
-    "masks": "inactive rays carry no light, active ones the same as without a mask",
-    "ends": "finite at the ends: horizon, normal, random numbers, roughness",
-    "parameters": "`traverse` answers; gradients of `eval` are its changes",
-    "cost": "repeated calls compile no kernel",
-}
-
-# The same in polarised variants, of all elements of Mueller matrices.
-POLARISED = {
-    "answers": "all functions answer, with finite matrices",
-    "first_element": "the first element is the answer without polarisation",
-    "sampled_pdf": PROPERTIES["sampled_pdf"],
-    "sampled_weight": "weight times pdf is `eval`, in all elements",
-    "eval_pdf": PROPERTIES["eval_pdf"],
-    "realisable": "each matrix is that of a real surface (Cloude)",
-    "energy": "no more flux leaves than arrives, of any polarisation",
-    "frames": "matrices turn with the directions, without jumps",
-    "reciprocity": "source and detector can be exchanged, in all elements",
-    "adjoint": "radiance and importance mode are adjoint, in all elements",
-}
-
-# The same of phase functions, whose `eval_pdf` answers what is called `eval` and `pdf`.
-PHASE = {
-    name: PROPERTIES[name]
-    for name in ("answers", "directions", "sampling", "weights", "sampled_pdf")
-    + ("sampled_weight", "energy", "reciprocity", "flags", "components", "masks")
-    + ("ends", "parameters", "cost")
-} | {
-    "answers": "both functions answer, with finite values of at least 0; `eval` and "
-    "`pdf` are the answers of `eval_pdf`",
-    "directions": "sampled directions are unit vectors",
-    "masks": "active rays get the same as without a mask",
-    "energy": "`eval` integrates to 1",
-    "reciprocity": "source and detector can be exchanged",
-}
-
 # Mitsuba's integrators that a failure reaches, by what they call.
-_COMBINED = "path, direct, volpathmis, prb: light and BSDF sampling are combined"
-_SAMPLED = "all integrators that sample the BSDF"
+ALL = "all integrators"
+COMBINED = "path, direct, volpathmis, prb: light and BSDF sampling are combined"
+SAMPLED = "all integrators that sample the BSDF"
+POLARISING = "all integrators, in polarised variants"
+FROM_LIGHTS = "ptracer and all that trace light from its source"
 
-# Effect of a failure, unless its breach says otherwise, and integrators that it
-# reaches if that biases images or breaks integrators.
-_EFFECTS_OF = {
-    "answers": (BIAS, "all integrators"),
-    "directions": (BIAS, _SAMPLED),
-    "sampling": (BIAS, _COMBINED),
-    "weights": (BIAS, _SAMPLED),
-    "sampled_pdf": (BIAS, _COMBINED),
-    "sampled_weight": (BIAS, _SAMPLED),
-    "eval_pdf": (BIAS, "path, direct, volpathmis, prb"),
-    "eval_pdf_sample": (BIAS, "path"),
-    "energy": (MODEL, None),
-    "continuity": (MODEL, None),
-    "reciprocity": (MODEL, "all integrators"),
-    "adjoint": (BREAKS, "ptracer and all that trace light from its source"),
-    "delta": (BIAS, _SAMPLED),
-    "flags": (
-        INTERFACE,
-        "path, direct, volpath, prb: no light is sampled without a smooth lobe",
-    ),
-    "components": (INTERFACE, None),
-    "masks": (INTERFACE, None),
-    "ends": (BIAS, "all integrators, in single pixels"),
-    "parameters": (BREAKS, "prb and all that change or differentiate parameters"),
-    "cost": (INTERFACE, None),
-    "first_element": (BIAS, "all integrators, in polarised variants"),
-    "realisable": (BIAS, "all integrators, in polarised variants"),
-    "frames": (BIAS, "all integrators, in polarised variants"),
-}
+# No other text than that about BSDFs.
+SAME = ""
+
+Check = TypeVar("Check", bound=Callable[..., None])
 
 # Probability by chance below which a single test says by itself that something is
 # wrong: above the level of a test, so that whatever fails is looked at.
@@ -119,17 +46,67 @@ MAX_P = 1e-4
 # A larger ratio has a denominator of 0.
 MAX_RATIO = 1e20
 
-# If importance mode is right and radiance mode is not.
-_FROM_SENSORS = "path and all that trace rays from the sensor"
 
+@dataclass(frozen=True)
+class Question:
+    """A property that a verdict prints, as the module of its check declares it.
 
-def integrators(name: str, effect: str | None) -> str | None:
-    """Integrators that a failure of a property reaches by its effect, if known."""
-    if name == "adjoint" and effect == BIAS:
-        return _FROM_SENSORS
-    if name == "reciprocity" and effect == BREAKS:
-        name = "adjoint"
-    return _EFFECTS_OF[name][1] if effect in (BIAS, BREAKS) else None
+    Attributes
+    ----------
+    name, text : str
+        Text is what a BSDF should have.
+    effect : str
+        Of a failure, unless its breach says otherwise: one of `EFFECTS`.
+    integrators : str or dict of str
+        That a failure reaches if it biases images or breaks integrators, or those by
+        its effect; empty if that is not known.
+    of_volumes, of_matrices : str or None
+        What a phase function, and all elements of a Mueller matrix, should have:
+        nothing, or what is no other text than that of BSDFs if it is `SAME`.
+    of_surfaces : bool
+        Whether a BSDF is asked in an unpolarised variant.
+    explains : int
+        The less, the more of the other failures it explains; of equal ones, what is
+        printed first does.
+    identity : bool
+        Whether it compares two functions: which is wrong, all of these tell together.
+    needed : bool
+        Whether nothing passes where it is undecided.
+    explain : callable, optional
+        Takes the evidence and guesses what is wrong, where it is not the worst breach.
+    checks : dict of list
+        Functions that take the evidence, by when :meth:`Evidence.ask` calls them:
+        about ``"samples"`` or ``"maps"`` of one condition, or about the ``"bsdf"``.
+    """
+
+    name: str
+    text: str
+    effect: str = BIAS
+    integrators: str | Mapping[str, str] = ""
+    of_volumes: str | None = None
+    of_matrices: str | None = None
+    of_surfaces: bool = True
+    explains: int = 1
+    identity: bool = False
+    needed: bool = False
+    explain: Callable[[Evidence], Guess | None] | None = None
+    checks: dict[str, list[Callable[..., None]]] = field(default_factory=dict)
+
+    def asks(self, about: str) -> Callable[[Check], Check]:
+        """Decorate one of its `checks`."""
+
+        def added(check: Check) -> Check:
+            self.checks.setdefault(about, []).append(check)
+            return check
+
+        return added
+
+    def reached(self, effect: str | None) -> str:
+        """Integrators that a failure of that effect reaches; empty if not known."""
+        if effect not in (BIAS, BREAKS):
+            return ""
+        known = self.integrators
+        return known if isinstance(known, str) else known.get(effect, "")
 
 
 @dataclass(frozen=True)
@@ -138,8 +115,8 @@ class Finding:
 
     Attributes
     ----------
-    name : str
-        Property, a key of `PROPERTIES`.
+    question : Question
+        Which is answered.
     statistic : str
         How much and where.
     condition : Condition or None
@@ -147,21 +124,24 @@ class Finding:
     off : float, optional
         Fraction of the light, or of the samples, that is wrong; None if not known.
     effect : str
-        On an image, one of `EFFECTS`; that of its property by default.
+        On an image, one of `EFFECTS`; that of its question by default.
     kind : Kind or MatrixKind
-        What it is about, by which its reproducer is chosen; its property by default.
+        By which its script is chosen; that of the question's name by default.
     about : str
         More of that: what of an answer, another function, a parameter, a component, a
         normal, or pairs of directions.
+    guess : Guess or None
+        Guilty functions and mistake; None of a test that does not tell them.
     """
 
-    name: str
+    question: Question
     statistic: str
     condition: Condition | None = None
     off: float | None = None
     effect: str = ""
     kind: Kind | MatrixKind | None = None
     about: str = ""
+    guess: Guess | None = None
 
     def __post_init__(self) -> None:
         kinds: dict[str, Any] = dict(Kind.__members__)
@@ -169,7 +149,12 @@ class Finding:
             kinds |= MatrixKind.__members__
         own = kinds.get(self.name.upper(), Kind.RAISES)
         object.__setattr__(self, "kind", self.kind or own)
-        object.__setattr__(self, "effect", self.effect or _EFFECTS_OF[self.name][0])
+        object.__setattr__(self, "effect", self.effect or self.question.effect)
+
+    @property
+    def name(self) -> str:
+        """Name of the property."""
+        return self.question.name
 
     @property
     def share(self) -> float | None:
@@ -188,18 +173,9 @@ class Finding:
 class Breach(Finding):
     """A property that a BSDF certainly lacks.
 
-    Attributes
-    ----------
-    function : str
-        Of the plugin, the likely culprit.
-    mistake : str
-        What is likely wrong, as a sentence about the function.
-    size : float
-        Severity: the worst breach of a property is shown.
+    Of a property, the one of the largest `size` is shown.
     """
 
-    function: str = ""
-    mistake: str = ""
     size: float = 1.0
 
 
@@ -220,22 +196,19 @@ class Evidence:
     ----------
     bsdf : mi.BSDF
     seed : int
-    properties : dict of str
-        Questions by name: `PROPERTIES`, `POLARISED` in polarised variants, or `PHASE`
-        of a phase function.
+    questions : sequence of Question
+        In the order of a verdict.
     breaches, tests : list
     undecided : dict of str
         By property, why it could not be decided and what it would take.
     downgraded : dict of str
         By property, its effect though it does not fail: adds noise, or cost.
-    remarks : dict of str
+    remarks : dict of list
         By property, remarks on one that holds.
     declared : dict of str
         By property, why it is lacking with the plugin's own declaration.
     maps : list of FourMaps
     samples : list of Samples
-    suspects : dict
-        By property, the guilty function and mistake of a test that tells them.
     sweeps : list of Samples
         Of many incident directions, one for each sample.
     in_radiance_mode : list of Samples
@@ -244,18 +217,28 @@ class Evidence:
 
     bsdf: mi.BSDF = None
     seed: int = 0
-    properties: dict[str, str] = field(default_factory=lambda: PROPERTIES)
+    questions: Sequence[Question] = ()
     breaches: list[Breach] = field(default_factory=list)
     tests: list[Test] = field(default_factory=list)
     undecided: dict[str, str] = field(default_factory=dict)
     downgraded: dict[str, str] = field(default_factory=dict)
-    remarks: dict[str, str] = field(default_factory=dict)
+    remarks: dict[str, list[str]] = field(default_factory=dict)
     declared: dict[str, str] = field(default_factory=dict)
     maps: list[FourMaps] = field(default_factory=list)
     samples: list[Samples] = field(default_factory=list)
-    suspects: dict[str, tuple[str, str]] = field(default_factory=dict)
     sweeps: list[Samples] = field(default_factory=list)
     in_radiance_mode: list[Samples] = field(default_factory=list)
+
+    @property
+    def of_volumes(self) -> bool:
+        """Whether it is about a phase function."""
+        return hasattr(self.bsdf, "phase_function")
+
+    def ask(self, about: str, *given: Samples | FourMaps) -> None:
+        """Call all checks about samples, maps, or the BSDF, by order of questions."""
+        for question in self.questions:
+            for check in question.checks.get(about, ()):
+                check(self, *given)
 
     @property
     def whole(self) -> list[Samples]:
@@ -264,31 +247,50 @@ class Evidence:
 
     def breach(
         self,
-        name: str,
-        function: str,
-        statistic: str,
-        mistake: str,
-        condition: Condition | None = None,
+        question: Question,
+        guess: Guess,
+        at: Any = None,
+        wrong: Flags | None = None,
+        found: str = "",
         **others: Any,
     ) -> None:
-        """Add a :class:`Breach`.
+        """Add a :class:`Breach` at a condition, or at what was asked and is `wrong`.
 
-        One of a single component concerns the interface: no integrator asks for one.
+        Samples, and matrices of pairs of directions, tell where those are that are
+        wrong and how many. One of a single component concerns the interface: no
+        integrator asks for one.
+
+        Parameters
+        ----------
+        question : Question
+        guess : Guess
+        at : Condition or Samples or Matrices, optional
+            The latter with `wrong`, a mask.
+        found : str
+            How much, with which its text begins.
+        **others
+            Of the breach; `size` and `off` are the fraction that is wrong.
         """
-        others |= {"function": function, "mistake": mistake}
-        if condition is not None and condition.component is not None:
+        if wrong is not None:
+            share = float(wrong.mean())
+            others = {"size": share, "off": share} | others
+            text, at = at.fraction(wrong), at.middle(wrong)
+            found = f"{found} for {text}" if found else text
+        elif at is not None:
+            found = f"{found} at {at}"
+        if at is not None and at.component is not None:
             others["effect"] = INTERFACE
-        self.breaches.append(Breach(name, statistic, condition, **others))
+        others = {"statistic": found, "condition": at, "guess": guess} | others
+        self.breaches.append(Breach(question, **others))
 
     def breach_of_ratio(
         self,
-        name: str,
-        function: str,
+        question: Question,
+        guess: Guess,
         samples: Samples,
         wrong: Flags,
         ratio: Floats,
         what: str,
-        mistake: str,
         **others: Any,
     ) -> None:
         """Add a breach on how far a ratio is from 1, if many samples are `wrong`."""
@@ -300,16 +302,8 @@ class Evidence:
             low, middle, high = np.quantile(ratio[usable], [0.05, 0.5, 0.95])
             spread = f"{low:.4g} to {high:.4g}, median {middle:.4g}"
         off = np.mean(np.where(usable, np.minimum(np.abs(ratio - 1), 1), wrong))
-        self.breach(
-            name,
-            function,
-            f"{what} is {spread} for {samples.fraction(wrong)}",
-            mistake,
-            samples.condition.middle(wrong),
-            size=float(wrong.mean()),
-            off=float(off),
-            **others,
-        )
+        others["off"] = float(off)
+        self.breach(question, guess, samples, wrong, f"{what} is {spread}", **others)
 
     def change(self, some: Collection[Breach], **changes: Any) -> None:
         """Give these very breaches other attributes."""
@@ -332,25 +326,34 @@ class Evidence:
         equal = worst.size * (1 - BSDF_ROUNDING)  # the same mistake in two functions
         return next((one for one in found if one.size >= equal), worst)
 
+    def guess(self, name: str) -> Guess | None:
+        """What the worst breach of a property tells; None without."""
+        worst = self.worst(name)
+        return worst and worst.guess
+
+    def suspect(self, name: str) -> Guess | None:
+        """What the worst test tells of those that tell something; None without."""
+        told = [one for one in self.tests if one.name == name and one.guess]
+        return min(told, key=lambda one: one.p).guess if told else None
+
     def remark(self, name: str, text: str) -> None:
         """Note something that does not make a property fail."""
-        known = self.remarks.get(name)
-        if known is None or text not in known:
-            self.remarks[name] = f"{known}; {text}" if known else text
+        known = self.remarks.setdefault(name, [])
+        if text not in known:
+            known.append(text)
 
     def test(
         self,
-        name: str,
+        question: Question,
         p: float,
         statistic: str,
         condition: Condition | None = None,
-        off: float | None = None,
         **others: Any,
     ) -> None:
         """Add a :class:`Test`.
 
         One of a single component concerns the interface, too.
         """
-        component = None if condition is None else condition.component
-        effect = "" if component is None else INTERFACE
-        self.tests.append(Test(name, statistic, condition, off, effect, p=p, **others))
+        if condition is not None and condition.component is not None:
+            others["effect"] = INTERFACE
+        self.tests.append(Test(question, statistic, condition, p=p, **others))

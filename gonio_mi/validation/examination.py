@@ -27,33 +27,23 @@ from .checks import (
     cost,
     delta,
     directions,
-    ends,
-    energy,
     eval_pdf,
-    flags,
-    masks,
     parameters,
     reciprocity,
     sampling,
-    weights,
 )
 from .checks.consistency import check_again, check_identities
 from .conditions import Condition, Effort, sides_of
 from .cosines import explain_reciprocity
 from .diagnosis import likely_mistake
-from .evidence import (
-    BIAS,
-    MAX_P,
-    PHASE,
-    POLARISED,
-    PROPERTIES,
-    Evidence,
-)
+from .evidence import BIAS, MAX_P, Evidence, Question
 from .kinds import Kind
 from .maps import four_maps, in_radiance_mode
+from .mistakes import Function, Mistake
 from .phase_functions import as_bsdf, examine_phase_function
-from .polarised import examine_polarised, likely_mistake as polarised_mistake
+from .polarised import examine_polarised
 from .probe import Probe, number_parameters
+from .questions import OF_MATRICES, OF_SURFACES, OF_VOLUMES
 from .reproducers import source_of
 from .samples import Samples, samples_of, unequal
 from .verdict import FAILS, Verdict, properties_of
@@ -73,6 +63,12 @@ TINT = (1.0, 0.8, 0.6)
 
 # Names of parameters that are a colour.
 COLOURS = re.compile("reflectance|transmittance|colou?r|albedo|tint")
+
+
+class Fault(Mistake):
+    """Why nothing more could be asked."""
+
+    NO_ANSWER = "`{function}` {what}"
 
 
 @launches_kernels(is_parallel)
@@ -129,7 +125,7 @@ def validate(
     allow = (allow,) if isinstance(allow, str) else tuple(allow)
     bsdf, name, source = _bsdf(specimen)
     questions = _questions(bsdf, name, allow)
-    polarised, of_volumes = questions is POLARISED, questions is PHASE
+    polarised = questions is OF_MATRICES
     evidence = Evidence(bsdf, seed, questions)
     n_asked = 0
     with thread_count(plan.threads):
@@ -139,7 +135,7 @@ def validate(
                 if not isinstance(specimen, mi.Object):
                     load = lambda: _bsdf(specimen)[0]  # noqa: E731
                 n_asked = examine_polarised(evidence, effort, specimen, load)
-            elif of_volumes:
+            elif evidence.of_volumes:
                 examine_phase_function(evidence, plan, effort)
             else:
                 _examine(evidence, plan, name, progress)
@@ -148,14 +144,9 @@ def validate(
         properties = properties_of(evidence, alpha, allow)
         failed = {p.name: str(p.effect) for p in properties if p.status == FAILS}
         shares = {p.name: p.share for p in properties}
-        function, mistake = None, None
-        if failed:
-            if polarised:
-                function, mistake = polarised_mistake(evidence, failed)
-            else:
-                function, mistake = likely_mistake(evidence, failed, shares)
-                if not of_volumes:
-                    _add_maps_of_failure(evidence, plan)
+        guess = likely_mistake(evidence, failed, shares) if failed else None
+        if failed and not (polarised or evidence.of_volumes):
+            _add_maps_of_failure(evidence, plan)
     settings = {
         "effort": effort,
         "seed": seed,
@@ -168,24 +159,26 @@ def validate(
         + sum(one.n for one in evidence.samples)
         + n_asked,
     }
+    said = (str(guess.functions), str(guess)) if guess else (None, None)
     maps = tuple(evidence.maps)
-    return Verdict(name, tuple(properties), function, mistake, settings, maps, source)
+    return Verdict(name, tuple(properties), *said, settings, maps, source, guess)
 
 
-def _questions(bsdf: mi.BSDF, name: str, allow: Sequence[str]) -> dict[str, str]:
+def _questions(bsdf: mi.BSDF, name: str, allow: Sequence[str]) -> tuple[Question, ...]:
     """Questions about the BSDF or phase function; raises for an unknown `allow`."""
-    questions = POLARISED if is_polarised(mi.variant()) else PROPERTIES
+    questions = OF_MATRICES if is_polarised(mi.variant()) else OF_SURFACES
     if hasattr(bsdf, "phase_function"):
-        if questions is POLARISED:
+        if questions is OF_MATRICES:
             raise SpecimenError(
                 f"validate judges phase functions in unpolarised variants, got {name} "
                 f"in {mi.variant()}"
             )
-        questions = PHASE
+        questions = OF_VOLUMES
+    names = [one.name for one in questions]
     for one in allow:
-        if one not in questions:
+        if one not in names:
             raise SettingError(
-                f"allow must name some of {', '.join(questions)}, got {shown(one)}"
+                f"allow must name some of {', '.join(names)}, got {shown(one)}"
             )
     return questions
 
@@ -245,11 +238,9 @@ def _steps(evidence: Evidence, plan: Effort) -> Iterator[float]:
         _check_samples(evidence, condition, plan.checked, (seed, 1, i))
         yield N_STEPS * SAMPLES_STEPS / len([*conditions, *radiance])
     check_again(evidence, plan, sides)
-    flags.check_bsdf(evidence)
-    flags.check_sides(evidence)
+    evidence.ask("bsdf")
     for samples in evidence.samples[:: max(1, len(plan.angles) // 3)]:
         components_check.check_samples(evidence, samples)
-    masks.check_bsdf(evidence)
     for samples in evidence.whole:
         if samples.condition.mode == "importance":
             continuity.check_normal(evidence, samples)
@@ -258,8 +249,6 @@ def _steps(evidence: Evidence, plan: Effort) -> Iterator[float]:
     answers.check_albedo(evidence)
     parameters.check_samples(evidence, _brightest(evidence))
     explain_reciprocity(evidence)
-    ends.check_bsdf(evidence)
-    ends.check_limits(evidence, ends.LIMITS)
     yield from _check_maps(evidence, plan, sides, components)
     parameters.check_changes(evidence, plan, sides)
     if plan is not Effort.named("quick"):
@@ -316,9 +305,8 @@ def _check_maps(
                 key = (evidence.seed, 2, len(evidence.maps) + failed)
                 evidence.maps.append(in_radiance_mode(evidence.bsdf, first, key))
     for maps in evidence.maps:
-        for check in (sampling, weights, energy):
-            check.check_maps(evidence, maps)
-    weights.check_pooled(evidence)
+        evidence.ask("maps", maps)
+    sampling.check_pooled(evidence)
     sampling.check_roulette(evidence)
     lit = any(samples.given.any() for samples in evidence.samples)
     lit = lit or any(m.smooth_flux.any() for m in evidence.maps)
@@ -385,12 +373,12 @@ def _depends_on_mode(evidence: Evidence, samples: Samples) -> bool:
 
 def _stop(evidence: Evidence, fault: PluginFault) -> None:
     """Record a fault of the plugin, after which nothing else can be judged."""
-    mistake = f"`{fault.function}` {fault.what}"
-    evidence.breach(
-        "answers", fault.function, str(fault), mistake, size=10.0, kind=Kind.RAISES
-    )
-    for name in evidence.properties:
-        evidence.undecided[name] = f"`{fault.function}` must answer first"
+    function = Function.named(fault.function)
+    guess = Fault.NO_ANSWER(function, function=fault.function, what=fault.what)
+    how = {"size": 10.0, "kind": Kind.RAISES}
+    evidence.breach(evidence.questions[0], guess, found=str(fault), **how)
+    for question in evidence.questions:
+        evidence.undecided[question.name] = f"`{fault.function}` must answer first"
 
 
 # ------------------------------------------------------------------- the BSDF in colour

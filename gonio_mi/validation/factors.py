@@ -7,14 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
 from ..array_types import Flags, Floats
-from .conditions import LitFrom, Sweep
+from .conditions import Sweep
 from .evidence import BIAS, Evidence
+from .mistakes import EVAL, PDF, SAMPLE, Function, Guess, Mistake
 from .probe import Probe, is_delta, numbers, spectral, uniform
 from .samples import Samples, beyond_rounding, ratio_of, unequal
 
@@ -35,23 +35,65 @@ FACTORS = {
 }
 NUMBERS = {"pi": np.pi, "four": 4.0, "two": 2.0}
 
-# Two answers that should be equal, the one above over the one below: which function
-# is wrong if the ratio is, its answer, and the ratio in words.
-#   guilty: (above, below), subject of "lacks a factor", ratio in words
-BETWEEN = {
-    "sampled_pdf": (
-        ("sampled_pdf", "pdf"),
-        "the pdf that `sample` returns",
-        "the pdf that `sample` returns: pdf, over `pdf`,",
-    ),
-    "pdf": (("pdf", "sampled_pdf"), "`pdf`", "`pdf`, over the density of `sample`,"),
-    "sample": (
-        ("weight", "eval"),
-        "`sample` weight",
-        "`sample`: weight times pdf, over `eval`,",
-    ),
-    "eval": (("eval", "weight"), "`eval`", "`eval`: value, over weight times pdf,"),
-}
+
+class Factor(Mistake):
+    """What is wrong with one of two answers, by their ratio or a `factor` of it."""
+
+    CONTRADICTS = "{subject} contradicts the other functions"
+    RATIO = "{words} {ratio}"
+    TOO_MUCH = "{subject} has {factor} too much{where}"
+    LACKS = "{subject} lacks {factor}{where}"
+    NOT_DIVIDED = "{subject} lacks division by {factor}{where}"
+    DIVIDED_TWICE = "{subject} is divided once more by {factor}{where}"
+    EITHER = """`eval` or the weight of `sample`: weight times pdf, over `eval`,
+        {ratio}{where}"""
+    OTHER_SUMS = """{who}: the weights do not sum up to `eval`, where directions agree
+        with `pdf`"""
+    COLOURS = "`eval` or the weight of `sample`: {colours} are exchanged in one of them"
+    OF_LOBE_ALONE = """{who} weight lacks division by the probability of the lobe: it is
+        value over pdf of the picked lobe alone"""
+
+
+@dataclass(frozen=True)
+class Between:
+    """Two answers that should be equal, of whose ratio one function is guilty.
+
+    Attributes
+    ----------
+    guilty : Function
+    above, below : str
+        Names of the answers.
+    subject, words : str
+        That function's answer as the subject of "lacks a factor", and the ratio.
+    """
+
+    guilty: Function
+    above: str
+    below: str
+    subject: str
+    words: str
+
+
+OF_SAMPLED_PDF = Between(
+    SAMPLE,
+    "sampled_pdf",
+    "pdf",
+    "the pdf that `sample` returns",
+    "the pdf that `sample` returns: pdf, over `pdf`,",
+)
+OF_PDF = Between(
+    PDF, "pdf", "sampled_pdf", "`pdf`", "`pdf`, over the density of `sample`,"
+)
+OF_WEIGHT = Between(
+    SAMPLE,
+    "weight",
+    "eval",
+    "`sample` weight",
+    "`sample`: weight times pdf, over `eval`,",
+)
+OF_EVAL = Between(
+    EVAL, "eval", "weight", "`eval`", "`eval`: value, over weight times pdf,"
+)
 
 # Largest distance from 1, for nine samples in ten, of a ratio that is explained; and of
 # one whose factor is known from frequencies only.
@@ -127,15 +169,15 @@ class _Found:
     constant: float | None = None
 
 
-def ratios_of(evidence: Evidence, guilty: str) -> list[Ratio]:
-    """Ratios of a row of `BETWEEN`, for the samples of each condition."""
-    (above, below), _, _ = BETWEEN[guilty]
+def ratios_of(evidence: Evidence, two: Between) -> list[Ratio]:
+    """Ratios of two answers, for the samples of each condition."""
     ratios = []
     for samples in (*evidence.whole, *evidence.sweeps, *evidence.in_radiance_mode):
         ok = samples.smooth & (samples.pdf > 0) & np.isfinite(samples.pdf)
         ok &= np.isfinite(samples.sampled_pdf) & (np.abs(samples.wo[:, 2]) > 1e-4)
         over, under = (
-            _ANSWERS[name](samples).reshape(samples.n, -1) for name in (above, below)
+            _ANSWERS[name](samples).reshape(samples.n, -1)
+            for name in (two.above, two.below)
         )
         for answer in (over, under):
             ok &= np.isfinite(answer).all(axis=1) & (answer > 0).any(axis=1)
@@ -144,38 +186,39 @@ def ratios_of(evidence: Evidence, guilty: str) -> list[Ratio]:
     return ratios
 
 
-def explain(ratios: Sequence[Ratio], guilty: str) -> str:
-    """Sentence on the mistake of a function, by the ratios of a row of `BETWEEN`."""
-    _, subject, words = BETWEEN[guilty]
-    wrong = _wrong(ratios)
+def explain(ratios: Sequence[Ratio], two: Between) -> Guess:
+    """Mistake of the function that is guilty of ratios of two answers."""
+    names, wrong = {"subject": two.subject, "words": two.words}, _wrong(ratios)
     if not wrong:
-        return f"{subject} contradicts the other functions"
+        return Factor.CONTRADICTS(two.guilty, **names)
     found = _find(wrong)
     if found is None:
-        return f"{words} {_in_numbers(wrong, ratios)}"
-    has, lacks = "has {} too much", "lacks {}"
-    if guilty == "sample" and found.name in ("component", "pdf"):
+        return Factor.RATIO(two.guilty, ratio=_in_numbers(wrong, ratios), **names)
+    mistakes = Factor.TOO_MUCH, Factor.LACKS
+    if two is OF_WEIGHT and found.name in ("component", "pdf"):
         # weight times pdf has a factor too much: it was never divided by it
-        has, lacks = "lacks division by {}", "is divided once more by {}"
-    verb = (has if found.power > 0 else lacks).format(FACTORS[found.name])
-    if found.constant is None:
-        return f"{subject} {verb}{_where(wrong, ratios)}"
-    return f"{subject} {verb}, and has a factor {found.constant:.4g} besides"
+        mistakes = Factor.NOT_DIVIDED, Factor.DIVIDED_TWICE
+    where = _where(wrong, ratios)
+    if found.constant is not None:
+        where = f", and has a factor {found.constant:.4g} besides"
+    mistake, factor = mistakes[found.power < 0], FACTORS[found.name]
+    return mistake(two.guilty, factor=factor, where=where, **names)
 
 
-def _explain_neutrally(ratios: Sequence[Ratio]) -> str:
-    """Sentence on weight and ``eval`` where nothing tells which of them is wrong."""
-    what = BETWEEN["sample"][2].removeprefix("`sample`: ")
+def _explain_neutrally(ratios: Sequence[Ratio]) -> Guess:
+    """Ratio of weight and ``eval`` where nothing tells which of them is wrong."""
     wrong = _wrong(ratios)
     found = _find(wrong)
     if found is None:
-        return f"{what} {_in_numbers(wrong, ratios)}"
+        text = _in_numbers(wrong, ratios)
+        return Factor.EITHER(EVAL | SAMPLE, ratio=text, where="")
     text, constant = FACTORS[found.name], found.constant
     if found.power < 0:
         text = f"{constant or 1:.4g} over {text}"
     elif constant is not None:
         text = f"{constant:.4g} times {text}"
-    return f"{what} is {text}{_where(wrong, ratios)}"
+    where = _where(wrong, ratios)
+    return Factor.EITHER(EVAL | SAMPLE, ratio=f"is {text}", where=where)
 
 
 def has_known_factor(ratios: Sequence[Ratio]) -> bool:
@@ -301,9 +344,6 @@ def _place(ratios: Sequence[Ratio], everything: Sequence[Ratio]) -> str:
 # may be wrong, unless one of them gains flux that the other does not, or is reciprocal
 # where the other is not, or depends on the lobe that was picked.
 
-# Guilty where nothing tells.
-EITHER = "eval or sample"
-
 # Pairs of directions that are exchanged, samples of the way back, the cosine of the
 # angle within which such a sample is near to that way, and how many there must be.
 N_PAIRS = 24
@@ -317,7 +357,7 @@ MAX_LOG_SAME, MIN_LOG_OTHER = 0.03, 0.1
 MIN_SAME, MIN_OTHER = 0.9, 0.15
 
 
-def explain_weights(evidence: Evidence, failed: Collection[str]) -> tuple[str, str]:
+def explain_weights(evidence: Evidence, failed: Collection[str]) -> Guess:
     """Function and mistake, where weight times pdf is not ``eval``.
 
     Parameters
@@ -329,35 +369,25 @@ def explain_weights(evidence: Evidence, failed: Collection[str]) -> tuple[str, s
         Names of properties.
     """
     whole = evidence.of("sampled_weight")
-    if whole and all("component" in b.statistic for b in whole):
+    if whole and all(b.condition and b.condition.component is not None for b in whole):
         # only single components disagree
         worst = max(evidence.of("components") or whole, key=lambda b: b.size)
-        return worst.function, worst.mistake
-    ratios = ratios_of(evidence, "sample")
+        return worst.guess
+    ratios = ratios_of(evidence, OF_WEIGHT)
     if not ratios:
-        return "sample", (
-            "`sample`: the weights do not sum up to `eval`, where directions agree "
-            "with `pdf`"
-        )
-    swapped = _exchanged_colours(ratios)
-    if swapped:
-        return EITHER, (
-            f"`eval` or the weight of `sample`: {swapped} are exchanged in one of them"
-        )
+        return Factor.OTHER_SUMS(SAMPLE)
+    colours = _exchanged_colours(ratios)
+    if colours:
+        return Factor.COLOURS(EVAL | SAMPLE, colours=colours)
     if _is_of_lobe_alone(evidence):
-        return "sample", (
-            "`sample` weight lacks division by the probability of the lobe: it is "
-            "value over pdf of the picked lobe alone"
-        )
+        return Factor.OF_LOBE_ALONE(SAMPLE)
     guilty = _by_energy(evidence) or _by_answers(evidence, failed)
     if not guilty and not int(evidence.bsdf.flags()) & int(mi.BSDFFlags.NonSymmetric):
         guilty = _by_reciprocity(evidence.bsdf, ratios)
-    if guilty:
-        if guilty == "eval":
-            ratios = [replace(one, values=1 / one.values) for one in ratios]
-        return guilty, explain(ratios, guilty)
-    text = _explain_neutrally(ratios)
-    return EITHER, f"`eval` or the weight of `sample`: {text}"
+    if guilty is EVAL:
+        inverse = [replace(one, values=1 / one.values) for one in ratios]
+        return explain(inverse, OF_EVAL)
+    return explain(ratios, OF_WEIGHT) if guilty else _explain_neutrally(ratios)
 
 
 def _exchanged_colours(ratios: Sequence[Ratio]) -> str:
@@ -381,29 +411,29 @@ def _exchanged_colours(ratios: Sequence[Ratio]) -> str:
     return ""
 
 
-def _by_energy(evidence: Evidence) -> str:
-    """Whichever of both gains light; empty if neither or both do."""
+def _by_energy(evidence: Evidence) -> Function | None:
+    """Whichever of both gains light; None if neither or both do."""
     whole = [m for m in evidence.maps if m.condition.component is None]
     whole = [m for m in whole if m.condition.mode == "importance"]
     flux = max((m.smooth_flux.max() for m in whole), default=0.0)
     mean = max((m.totals.mean.max() for m in whole), default=0.0)
     discrete = max((m.totals.delta_mean.max() for m in whole), default=0.0)
     if flux + discrete > 1.001 > mean:
-        return "eval"
-    return "sample" if mean > 1.001 > flux + discrete else ""
+        return EVAL
+    return SAMPLE if mean > 1.001 > flux + discrete else None
 
 
-def _by_answers(evidence: Evidence, failed: Collection[str]) -> str:
-    """Whichever of both gives improper values; empty if neither does."""
+def _by_answers(evidence: Evidence, failed: Collection[str]) -> Function | None:
+    """Whichever of both gives improper values; None if neither does."""
     own = [b for b in evidence.of("answers") if b.effect == BIAS]
     if "answers" not in failed or not own:
-        return ""
-    worst = max(own, key=lambda b: b.size).function
-    return worst if worst in ("eval", "sample") else ""
+        return None
+    worst = max(own, key=lambda b: b.size).guess.functions
+    return worst if worst in (EVAL, SAMPLE) else None
 
 
-def _by_reciprocity(bsdf: mi.BSDF, ratios: Sequence[Ratio]) -> str:
-    """Whichever of both is not reciprocal while the other is; empty if none is.
+def _by_reciprocity(bsdf: mi.BSDF, ratios: Sequence[Ratio]) -> Function | None:
+    """Whichever of both is not reciprocal while the other is; None if none is.
 
     Not for plugins that declare NonSymmetric, whose right function may be the one that
     is not reciprocal.
@@ -431,17 +461,17 @@ def _by_reciprocity(bsdf: mi.BSDF, ratios: Sequence[Ratio]) -> str:
         if len(pairs) >= N_PAIRS:
             break
     if len(pairs) < N_PAIRS // 2:
-        return ""
+        return None
     by_eval, by_weights, slack = np.abs(np.array(pairs)).T
     for guilty, right, wrong in (
-        ("sample", by_eval, by_weights),
-        ("eval", by_weights, by_eval),
+        (SAMPLE, by_eval, by_weights),
+        (EVAL, by_weights, by_eval),
     ):
         same = np.mean(right < MAX_LOG_SAME + slack)
         other = np.mean(wrong > MIN_LOG_OTHER + slack)
         if same > MIN_SAME and other > MIN_OTHER:
             return guilty
-    return ""
+    return None
 
 
 def _way_back(
@@ -456,8 +486,7 @@ def _way_back(
     back = samples.reverse[k].sum() / abs(wi[2])
     if not (there > 0 and back > 0 and abs(wo[2]) > 0.1):
         return None
-    lit: Any = LitFrom(samples.condition, wo)
-    probe = Probe(bsdf, lit)
+    probe = Probe(bsdf, samples.condition.lit_from(wo))
     bs, sampled = probe.sample(*uniform(N_BACK, (k, 61)))
     towards, weight = spectral(bs.wo, N_BACK), spectral(sampled, N_BACK).sum(axis=1)
     value = probe.values(towards).sum(axis=1)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from types import SimpleNamespace
 from typing import Any
 
 import drjit as dr
@@ -299,9 +300,25 @@ def _adaptive(
     probe: Probe, subdivision: RingsAndSectors, totals: PatchTotals, limits: Floats
 ) -> Expected:
     """Integrals by cells that are split until that changes little."""
-    condition = probe.condition
+    condition, left = probe.condition, _most_evaluations(totals)
+    limit_of = mi.Float(limits)
+
+    def values(_ctx: Any, _si: Any, wo: mi.Vector3f, _active: Any) -> list[mi.Float]:
+        """All of :class:`Expected`, as long as there are evaluations left."""
+        nonlocal left
+        left -= dr.width(wo)
+        if left < 0:
+            raise SpecimenError("the integral takes too many evaluations")
+        index = patch_of(subdivision, condition, wo)
+        return _finite_values(probe, wo, dr.gather(mi.Float, limit_of, index))
+
     found = integrate(
-        _Integrand(probe, _most_evaluations(totals), subdivision, limits),
+        # what is asked of a BSDF
+        SimpleNamespace(
+            class_name=probe.bsdf.class_name,
+            sample=lambda _ctx, _si, u1, u2, _active: probe.sample(u1, u2),
+            eval=values,
+        ),
         condition.theta_i,
         condition.phi_i,
         subdivision,
@@ -321,43 +338,3 @@ def _adaptive(
 def _most_evaluations(totals: PatchTotals) -> int:
     """Number of evaluations after which integration is given up."""
     return max(EVALUATIONS * totals.n, MIN_EVALUATIONS)
-
-
-class _Integrand:
-    """What :func:`integrate` takes for a BSDF, with channels of :class:`Expected`."""
-
-    def __init__(
-        self, probe: Probe, most: int, subdivision: RingsAndSectors, limits: Floats
-    ) -> None:
-        self.probe, self.left = probe, most
-        self.subdivision, self.limits = subdivision, mi.Float(limits)
-
-    def class_name(self) -> str:
-        """Return the name of the BSDF."""
-        return self.probe.bsdf.class_name()
-
-    def sample(
-        self,
-        _ctx: mi.BSDFContext,
-        _si: mi.SurfaceInteraction3f,
-        sample1: mi.Float,
-        sample2: mi.Point2f,
-        _active: mi.Bool,
-    ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
-        """Return record and weight."""
-        return self.probe.sample(sample1, sample2)
-
-    def eval(
-        self,
-        _ctx: mi.BSDFContext,
-        _si: mi.SurfaceInteraction3f,
-        wo: mi.Vector3f,
-        _active: mi.Bool,
-    ) -> list[mi.Float]:
-        """Return all channels, as long as there are evaluations left."""
-        self.left -= dr.width(wo)
-        if self.left < 0:
-            raise SpecimenError("the integral takes too many evaluations")
-        index = patch_of(self.subdivision, self.probe.condition, wo)
-        limit = dr.gather(mi.Float, self.limits, index)
-        return _finite_values(self.probe, wo, limit)

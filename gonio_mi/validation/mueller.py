@@ -32,6 +32,7 @@ from ..collector.stokes import (
 )
 from ..single_precision import BSDF_ROUNDING
 from .conditions import Condition
+from .mistakes import EVAL, SAMPLE, Function, Mistake
 from .probe import Probe, floats, numbers, random_numbers, spectral, vectors
 from .samples import SLACK, ULPS
 
@@ -66,7 +67,7 @@ class MuellerProbe:
         """Matrices of ``eval`` for directions of shape (..., 3)."""
         uv = self._placed(wi, uv)
         answer = self._probe.eval(vectors(wo), wi=vectors(wi))
-        return Matrices("eval", self.mode, wi, wo, uv, elements(answer, uv.shape[:-1]))
+        return Matrices(EVAL, self.mode, wi, wo, uv, elements(answer, uv.shape[:-1]))
 
     def pdf(self, wi: Floats, wo: Floats, uv: Numbers = MIDDLE) -> Floats:
         """Densities for directions of shape (n, 3); shape (n,)."""
@@ -96,7 +97,8 @@ class MuellerProbe:
         self._probe.wi = vectors(wi)
         value, pdf = self._probe.eval_pdf(vectors(wo))
         densities = numbers(pdf, n).astype(float)
-        found = Matrices("eval_pdf", self.mode, wi, wo, uv, elements(value, (n,)))
+        raw = elements(value, (n,))
+        found = Matrices(Function.EVAL_PDF, self.mode, wi, wo, uv, raw)
         return found, densities
 
     def sample(self, wi: Floats, random: Floats, uv: Numbers = MIDDLE) -> Lobes:
@@ -106,7 +108,7 @@ class MuellerProbe:
         bs, weight = self._probe.sample(*random_numbers(random), wi=vectors(wi))
         wo = spectral(bs.wo, n).reshape(wi.shape)
         return Lobes(
-            Matrices("sample", self.mode, wi, wo, uv, elements(weight, shape)),
+            Matrices(SAMPLE, self.mode, wi, wo, uv, elements(weight, shape)),
             numbers(bs.pdf, n).astype(float).reshape(shape),
             numbers(bs.sampled_type, n).astype(np.int64).reshape(shape),
         )
@@ -125,21 +127,25 @@ class Matrices:
 
     Attributes
     ----------
-    function, mode : str
-        Who answered them.
+    function : Function
+        Which answered them.
+    mode : str
     wi, wo : ndarray, shape (..., 3)
     uv : ndarray, shape (..., 2)
         Texture coordinates.
     raw : ndarray, shape (..., channels, 4, 4)
         In Mitsuba's frames.
+    size : ndarray, shape (...), optional
+        By how much they are wrong; the worst is told of.
     """
 
-    function: str
+    function: Function
     mode: str
     wi: Floats
     wo: Floats
     uv: Floats
     raw: Floats
+    size: Floats | None = None
 
     @property
     def beams(self) -> tuple[Floats, Floats]:
@@ -201,11 +207,36 @@ class Matrices:
         uv = np.unique(self.uv[wrong], axis=0)
         return ", uv ({:g}, {:g})".format(*uv[0]) if len(uv) == 1 else ""
 
+    def fraction(self, wrong: Flags) -> str:
+        """Text on the percentage of pairs that are `wrong`, and where one is."""
+        where = f"{self.middle(wrong)}{self.place(wrong)}"
+        return f"{100 * wrong.mean():.3g} % of the directions, as at {where}"
+
+    def middle(self, wrong: Flags) -> Condition:
+        """Condition of the worst of those that are `wrong`, or of the first."""
+        size = 1.0 if self.size is None else self.size
+        worst = np.argmax(np.where(wrong, size, -np.inf))
+        return self.condition(np.unravel_index(worst, wrong.shape))
+
+    def condition(self, at: Sequence[Any]) -> Condition:
+        """Condition of one pair."""
+        at = tuple(at)
+        wi = self.wi[at]
+        theta, phi = (float(np.round(np.degrees(x), 1)) % 360 for x in angles(wi))
+        side = "front" if wi[2] > 0 else "back"
+        theta_i = theta if wi[2] > 0 else float(np.round(180 - theta, 1))
+        u, v = self.uv[at].tolist()
+        return Condition(theta_i, phi, side, (u, v), self.mode)
+
+    def by(self, size: Floats) -> Matrices:
+        """The same, with how wrong each is."""
+        return replace(self, size=size)
+
     def take(self, chosen: Any) -> Matrices:
         """Return the chosen pairs."""
         parts = (self.wi, self.wo, self.uv, self.raw)
         wi, wo, uv, raw = (x[chosen] for x in parts)
-        return replace(self, wi=wi, wo=wo, uv=uv, raw=raw)
+        return replace(self, wi=wi, wo=wo, uv=uv, raw=raw, size=None)
 
 
 @dataclass(frozen=True)
@@ -296,16 +327,6 @@ def lit_directions(rng: np.random.Generator, n: int, sides: Sequence[int]) -> Fl
     return found.astype(np.float32).astype(float)
 
 
-def condition_of(matrices: Matrices, at: tuple[int, ...]) -> Condition:
-    """Condition of one pair, for messages."""
-    wi = matrices.wi[at]
-    theta, phi = (float(np.round(np.degrees(x), 1)) % 360 for x in angles(wi))
-    side = "front" if wi[2] > 0 else "back"
-    theta_i = theta if wi[2] > 0 else float(np.round(180 - theta, 1))
-    u, v = matrices.uv[at].tolist()
-    return Condition(theta_i, phi, side, (u, v), matrices.mode)
-
-
 # ----------------------------------------------------------------------------- readings
 
 # Elements over the first one that count as 0.
@@ -315,11 +336,33 @@ NOTHING = 1e-4
 FLIP = np.array([1.0, 1.0, -1.0])
 MIRRORED = np.diag([1.0, 1.0, -1.0, -1.0])
 
-IDENTITY = (
-    "returns one number, which Mitsuba takes as that multiple of the identity: light "
-    "keeps its polarisation in frames that do not turn with the plane of incidence; "
-    "mi.mueller.depolarizer makes it unpolarised"
-)
+
+class Reading(Mistake):
+    """Mistakes by which matrices are to be read otherwise, in one `mode` or in both."""
+
+    IDENTITY = """{who} returns one number, which Mitsuba takes as that multiple of the
+        identity: light keeps its polarisation in frames that do not turn with the plane
+        of incidence; mi.mueller.depolarizer makes it unpolarised{mode}"""
+    OF_FRONT = """{who} returns for the back the matrix of the front, whose frames are
+        not mirrored with the directions{mode}"""
+    NESTED = """{who} does not turn the frames of the nested BSDF to those of its own
+        directions{mode}"""
+    NOT_TURNED = """{who} does not turn its frames from the plane of incidence to
+        Mitsuba's (mi.mueller.rotate_mueller_basis){mode}"""
+    INCIDENT = "{who} does not turn the frame of the incident beam to Mitsuba's{mode}"
+    OUTGOING = "{who} does not turn the frame of the outgoing beam to Mitsuba's{mode}"
+    WRONG_WAY = "{who} turns its frames the wrong way round{mode}"
+    INCIDENT_WRONG_WAY = """{who} turns the frame of the incident beam the wrong way
+        round{mode}"""
+    OUTGOING_WRONG_WAY = """{who} turns the frame of the outgoing beam the wrong way
+        round{mode}"""
+    HALF = """{who} turns Stokes vectors by the angle of their frames instead of twice
+        that{mode}"""
+    TRANSPOSED = "{who} returns the transposed matrix{mode}"
+    EXCHANGED = """{who} takes the frames of incident and outgoing beam for each other:
+        light arrives along -wi in importance mode, along -wo in radiance mode
+        (ctx.mode){mode}"""
+    OTHER_MODE = "{who} answers as importance mode does{mode}"
 
 
 def is_identity(m: Floats) -> bool:
@@ -334,7 +377,7 @@ def is_depolarised(m: Floats) -> bool:
 
 def readings(
     matrices: Matrices, normal: Numbers, nested: Numbers | None = None
-) -> Iterator[tuple[str, Floats]]:
+) -> Iterator[tuple[Reading, Floats]]:
     """Mistakes, each with the matrices that it implies in frames of s = k x normal.
 
     Parameters
@@ -347,53 +390,34 @@ def readings(
 
     Yields
     ------
-    mistake : str
-        The rest of a sentence about the function.
+    Reading
     ndarray, shape (..., channels, 4, 4)
     """
     raw, (turn_in, turn_out) = matrices.raw, matrices.turns(normal)
     one, back = np.eye(4), np.swapaxes(turn_in, -1, -2)
     out_back = np.swapaxes(turn_out, -1, -2)
     if (matrices.wi[..., 2] < 0).all():
-        yield (
-            "returns for the back the matrix of the front, whose frames are not "
-            "mirrored with the directions",
-            reframed(MIRRORED @ raw @ MIRRORED, *matrices.turns(normal, np.diag(FLIP))),
-        )
+        mirrored = matrices.turns(normal, np.diag(FLIP))
+        yield Reading.OF_FRONT, reframed(MIRRORED @ raw @ MIRRORED, *mirrored)
     if nested is not None:
-        yield (
-            "does not turn the frames of the nested BSDF to those of its own "
-            "directions",
-            reframed(raw, *matrices.turns(normal, nested)),
-        )
-    yield (
-        "does not turn its frames from the plane of incidence to Mitsuba's "
-        "(mi.mueller.rotate_mueller_basis)",
-        raw,
-    )
-    half = "turns Stokes vectors by the angle of their frames instead of twice that"
+        yield Reading.NESTED, reframed(raw, *matrices.turns(normal, nested))
+    yield Reading.NOT_TURNED, raw
     for mistake, of_in, of_out in (
-        ("does not turn the frame of the incident beam to Mitsuba's", one, turn_out),
-        ("does not turn the frame of the outgoing beam to Mitsuba's", turn_in, one),
-        ("turns its frames the wrong way round", back, out_back),
-        ("turns the frame of the incident beam the wrong way round", back, turn_out),
-        ("turns the frame of the outgoing beam the wrong way round", turn_in, out_back),
-        (half, *matrices.turns(normal, share=0.5)),
-        (half, *matrices.turns(normal, share=0.5, sign=-1)),
+        (Reading.INCIDENT, one, turn_out),
+        (Reading.OUTGOING, turn_in, one),
+        (Reading.WRONG_WAY, back, out_back),
+        (Reading.INCIDENT_WRONG_WAY, back, turn_out),
+        (Reading.OUTGOING_WRONG_WAY, turn_in, out_back),
+        (Reading.HALF, *matrices.turns(normal, share=0.5)),
+        (Reading.HALF, *matrices.turns(normal, share=0.5, sign=-1)),
     ):
         yield mistake, reframed(raw, of_in, of_out)
-    yield (
-        "returns the transposed matrix",
-        reframed(np.swapaxes(raw, -1, -2), turn_in, turn_out),
-    )
-    yield (
-        "takes the frames of incident and outgoing beam for each other: light arrives "
-        "along -wi in importance mode, along -wo in radiance mode (ctx.mode)",
-        reframed(raw, out_back, back),
-    )
+    transposed = np.swapaxes(raw, -1, -2)
+    yield Reading.TRANSPOSED, reframed(transposed, turn_in, turn_out)
+    yield Reading.EXCHANGED, reframed(raw, out_back, back)
 
 
-def other_mode(matrices: Matrices) -> Iterator[tuple[str, Floats]]:
+def other_mode(matrices: Matrices) -> Iterator[tuple[Reading, Floats]]:
     """Yield, of radiance mode, that it is answered as importance mode.
 
     As :func:`readings`; the matrix is that of light which goes back the same way.
@@ -401,4 +425,4 @@ def other_mode(matrices: Matrices) -> Iterator[tuple[str, Floats]]:
     if matrices.mode == "radiance":
         there = replace(matrices, mode="importance").in_plane()
         back = EXCHANGE @ np.swapaxes(there, -1, -2) @ EXCHANGE
-        yield "answers as importance mode does", back
+        yield Reading.OTHER_MODE, back

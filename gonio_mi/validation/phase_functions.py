@@ -16,21 +16,31 @@ from .checks import (
     answers,
     components,
     cost,
-    ends,
-    masks,
     parameters,
     sampling,
-    weights,
 )
 from .checks.consistency import check_again, check_identities
-from .checks.reciprocity import ratio_text
+from .checks.energy import ENERGY, Energy
+from .checks.reciprocity import RECIPROCITY, ratio_text
+from .checks.sampling import SAMPLING
+from .checks.weights import WEIGHTS
 from .conditions import Condition, Effort, sides_of
 from .evidence import Evidence
-from .integrals import SUM_ERROR
 from .kinds import Kind
-from .maps import FourMaps, four_maps
+from .maps import four_maps
+from .mistakes import EVAL, SAMPLE, Function, Mistake
 from .probe import Probe, numbers, vectors
 from .samples import Samples, beyond_rounding, samples_of, unequal
+
+
+class OfVolumes(Mistake):
+    """What is wrong with a phase function alone."""
+
+    SCATTERS_OTHERWISE = "{who} scatters otherwise than `eval` says"
+    DRAWS_OTHERWISE = "directions are drawn otherwise than `pdf` says"
+    ASYMMETRIC = "{who} is not symmetric in wi and wo"
+    PRODUCT_ASYMMETRIC = "{who}: their product is not symmetric in wi and wo"
+
 
 # Directions of light that are asked: off all axes, on them, and grazing to a plane
 # that no phase function knows of; every other one in a frame that is turned.
@@ -43,9 +53,6 @@ ASKED = (
 
 # Those of maps at effort quick, and at others.
 MAPPED = {"quick": ASKED[1:2], "normal": ASKED[:3], "thorough": ASKED}
-
-# Parameters with ends of their own, and these.
-ENDS = {"g": (-0.999, 0.999)}
 
 
 def as_bsdf(phase: mi.PhaseFunction) -> mi.BSDF:
@@ -128,31 +135,11 @@ def examine_phase_function(evidence: Evidence, plan: Effort, effort: str) -> Non
             components.check_samples(evidence, samples)
     sides = sides_of(bsdf)
     check_again(evidence, plan, sides)
-    masks.check_bsdf(evidence)
-    _excuse(evidence)
-    _check_flags(evidence)
+    evidence.ask("bsdf")
     parameters.check_samples(evidence, evidence.samples[1])
-    ends.check_bsdf(evidence)
-    ends.check_limits(evidence, ENDS)
     _check_maps(evidence, plan, MAPPED[effort])
     parameters.check_changes(evidence, plan, sides)
     cost.check_recorded(evidence, ASKED[1])
-
-
-def _excuse(evidence: Evidence) -> None:
-    """Turn breaches that all of Mitsuba's own phase functions have into remarks.
-
-    They answer inactive rays, and draw azimuths from an axis of the world.
-    """
-    awake = [one for one in evidence.of("masks") if "ignores `active`" in one.mistake]
-    if awake:
-        evidence.breaches[:] = [one for one in evidence.breaches if one not in awake]
-        text = "remark, no effect on images: inactive rays get a value, as of all of "
-        text += "Mitsuba's own phase functions"
-        evidence.remarks["masks"] = text  # which says all, of `pdf` too
-    world = evidence.remarks.pop("answers", "")
-    if world and not world.startswith("`sample`"):
-        evidence.remark("answers", "it depends on axes of the world")
 
 
 def _check_maps(
@@ -166,10 +153,8 @@ def _check_maps(
         maps = four_maps(evidence.bsdf, condition, plan.patches, plan.samples, key)
         if maps is not None:
             evidence.maps.append(maps)
-            sampling.check_maps(evidence, maps)
-            weights.check_maps(evidence, maps)
-            _check_normalised(evidence, maps)
-    weights.check_pooled(evidence)
+            evidence.ask("maps", maps)
+    sampling.check_pooled(evidence)
     sampling.check_roulette(evidence)
     if len(evidence.maps) < len(conditions):
         _check_rings(evidence)
@@ -200,51 +185,33 @@ def _check_rings(evidence: Evidence) -> None:
     """
     phase = evidence.bsdf.phase_function
     wavelengths = Probe(evidence.bsdf, ASKED[0]).interaction().wavelengths
-    for name, asked, two in (
-        ("weights", phase, ("`sample` scatters", "`eval`")),
-        ("sampling", Densities(phase), ("directions are drawn", "`pdf`")),
+    for question, asked, mistake in (
+        (WEIGHTS, phase, OfVolumes.SCATTERS_OTHERWISE),
+        (SAMPLING, Densities(phase), OfVolumes.DRAWS_OTHERWISE),
     ):
         found = ask_phase_function(asked, wavelengths)
         worst = int(found.misplaced.argmax())
         text = f"{found.misplaced[worst]:.2g} of the light in other rings"
-        evidence.remark(name, f"in rings about the light, of 4 directions: {text}")
+        remark = f"in rings about the light, of 4 directions: {text}"
+        evidence.remark(question.name, remark)
         if found.excess > 1:
             evidence.breach(
-                name,
-                "sample",
-                f"{text}, {found.excess:.3g} times the tolerance",
-                f"{two[0]} otherwise than {two[1]} says",
+                question,
+                mistake(SAMPLE),
+                found=f"{text}, {found.excess:.3g} times the tolerance",
                 size=float(found.misplaced[worst]),
                 off=float(min(found.misplaced[worst], 1.0)),
             )
-        if name == "weights":
+        if question is WEIGHTS:
             total, bound = found.evaluated, found.tolerance
             off = np.abs(total[:, :N_RINGED].sum(axis=1) - 1)
             limit = bound[:, :N_RINGED].sum(axis=1)
             if (off > limit).any():
                 k = int((off / limit).argmax())
                 flux = float(total[k, :N_RINGED].sum())
-                text = f"`eval` integrates to {flux:.4g}"
-                mistake = f"{text}, where a phase function has 1"
-                evidence.breach("energy", "eval", text, mistake, size=abs(flux - 1))
-
-
-def _check_normalised(evidence: Evidence, maps: FourMaps) -> None:
-    """Check that ``eval`` integrates to 1; absorption is the medium's."""
-    flux = maps.smooth_flux
-    off = np.abs(flux - 1)
-    worst = int(off.argmax())
-    bound = maps.smooth_bound[worst] + maps.eval_rounding
-    if off[worst] > max(bound, SUM_ERROR):
-        text = f"`eval` integrates to {flux[worst]:.5g}"
-        evidence.breach(
-            "energy",
-            "eval",
-            f"{text} at {maps.condition}",
-            f"{text}, where a phase function has 1",
-            maps.condition,
-            size=float(off[worst]),
-        )
+                text, size = f"`eval` integrates to {flux:.4g}", abs(flux - 1)
+                guess = Energy.NOT_1(EVAL, flux=f"{flux:.4g}")
+                evidence.breach(ENERGY, guess, found=text, size=size)
 
 
 def _check_reciprocity(evidence: Evidence, samples: Samples) -> None:
@@ -260,19 +227,13 @@ def _check_reciprocity(evidence: Evidence, samples: Samples) -> None:
     slack = samples.eval_slack * areas[0] + samples.reverse_slack * areas[1]
     wrong = unequal(there, back, slack) & usable
     if beyond_rounding(wrong):
-        function, what, kind = "eval", "`eval` is", Kind.SYMMETRY
+        guess, kind = OfVolumes.ASYMMETRIC(EVAL), Kind.SYMMETRY
         if _is_of_microflakes(evidence.bsdf):
-            function, kind = "eval or projected_area", Kind.SYMMETRY_OF_MICROFLAKES
-            what = "`eval` or `projected_area`: their product is"
-        evidence.breach(
-            "reciprocity",
-            function,
-            ratio_text(there, back, wrong, samples),
-            f"{what} not symmetric in wi and wo",
-            samples.condition,
-            size=float(wrong.mean()),
-            kind=kind,
-        )
+            guess = OfVolumes.PRODUCT_ASYMMETRIC(EVAL | Function.PROJECTED_AREA)
+            kind = Kind.SYMMETRY_OF_MICROFLAKES
+        text = ratio_text(there, back, wrong, samples)
+        how = {"statistic": text, "off": None, "kind": kind}
+        evidence.breach(RECIPROCITY, guess, samples, wrong, **how)
 
 
 def _is_of_microflakes(bsdf: mi.BSDF) -> bool:
@@ -291,27 +252,3 @@ def _projected_area(bsdf: mi.BSDF, condition: Condition, local: Floats) -> Float
     mei.wi, mei.p = si.to_world(si.wi), si.p
     area: Callable[..., Any] = phase.projected_area
     return numbers(area(mei, mi.Bool(True)), n).astype(float)[:, None]
-
-
-def _check_flags(evidence: Evidence) -> None:
-    """Check that a phase function declared as isotropic has one value everywhere."""
-    phase, flags = evidence.bsdf.phase_function, mi.PhaseFunctionFlags
-    declared = int(phase.flags())
-    samples = evidence.samples[1]
-    values = samples.eval[samples.usable]
-    others = int(flags.Anisotropic) | int(flags.Microflake)
-    if not len(values):
-        return
-    varies = np.ptp(values, axis=0).max() > 1e-3 * values.max()
-    if declared & int(flags.Isotropic) and not declared & others and varies:
-        evidence.breach(
-            "flags",
-            "flags",
-            f"`eval` is {values.min():.4g} to {values.max():.4g} at "
-            f"{samples.condition}",
-            "`flags` declares Isotropic alone, but `eval` depends on the direction",
-        )
-    if not declared:
-        evidence.breach(
-            "flags", "flags", "flags are 0", "`flags` declares no kind of scattering"
-        )

@@ -6,7 +6,7 @@ unpolarised variant judges.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import mitsuba as mi
@@ -57,34 +57,8 @@ STEEP = 80.0
 # Kinds of paths, and the length in degrees of the two legs of one through wo = wi.
 N_KINDS, LEG = 6, 5.0
 
-# What explains the others, first.
-ORDER = (
-    "answers",
-    "realisable",
-    "frames",
-    "sampled_pdf",
-    "sampled_weight",
-    "eval_pdf",
-    "energy",
-    "adjoint",
-    "reciprocity",
-    "first_element",
-)
-
 # Plugins that tilt the frame of a nested BSDF.
 TILTING = ("normalmap", "bumpmap")
-
-
-def likely_mistake(evidence: Evidence, failed: Mapping[str, str]) -> tuple[str, str]:
-    """Guilty function and mistake of the failed property that explains most."""
-    name = next(name for name in ORDER if name in failed)
-    worst = evidence.worst(name)
-    if worst is not None:
-        return worst.function, worst.mistake
-    test = min((t for t in evidence.tests if t.name == name), key=lambda t: t.p)
-    smooth = int(evidence.bsdf.flags()) & int(mi.BSDFFlags.Smooth)
-    function = "eval" if smooth else "sample"
-    return function, f"`{function}` gains light: {test.statistic}"
 
 
 def examine_polarised(
@@ -175,8 +149,9 @@ class _Examination:
         )
         answered = (values.raw[smooth], lobes.weights.raw[lobes.given])
         if sum(map(len, answered)) == 0:
-            for name in ORDER[1:]:
-                evidence.undecided[name] = "nothing was lit, so that nothing was seen"
+            for question in evidence.questions[1:]:
+                text = "nothing was lit, so that nothing was seen"
+                evidence.undecided[question.name] = text
         elif all(is_depolarised(per_light(raw)) for raw in answered):
             text = "all matrices have the first element only: light leaves unpolarised"
             if (lobes.delta & ~lobes.null).any():

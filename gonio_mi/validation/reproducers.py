@@ -258,7 +258,8 @@ def _filled(lines: str, words: Mapping[str, str]) -> str:
 
 def _words(verdict: Verdict, one: Property, kind: Kind | MatrixKind) -> dict[str, str]:
     """Text that replaces words in capitals, for what a finding is about."""
-    guilty = str(one.function or verdict.function or "eval").split(" or ")[0]
+    guess = one.guess or verdict.guess
+    guilty = guess.functions.names[0] if guess else one.function or "eval"
     guilty = one.about if kind is Kind.UPDATE else guilty
     guilty = guilty if guilty in ANSWERS else "eval"
     about, samples, answer = one.about, guilty == "sample", ANSWERS[guilty]

@@ -176,6 +176,10 @@ class Samples:
         place = self.condition.place(mask)
         return f"{100 * mask.mean():.3g} % of the samples at {place}"
 
+    def middle(self, mask: Flags) -> Condition:
+        """Condition with one incident direction of the samples in the mask."""
+        return self.condition.middle(mask)
+
 
 def samples_of(
     bsdf: mi.BSDF, condition: Condition, n: int, key: tuple[int, ...]

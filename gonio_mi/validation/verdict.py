@@ -9,19 +9,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from .conditions import Condition
-from .evidence import (
-    BIAS,
-    BREAKS,
-    COST,
-    EFFECTS,
-    NOISE,
-    PHASE,
-    Evidence,
-    Test,
-    integrators,
-)
+from .evidence import BIAS, BREAKS, COST, EFFECTS, NOISE, Evidence, Question, Test
 from .kinds import Kind, MatrixKind
 from .maps import FourMaps
+from .mistakes import Guess
 
 # Places of a failure that are kept.
 MAX_PLACES = 10
@@ -51,9 +42,6 @@ REPORTED = (
 
 # Integrators that ask a phase function.
 VOLUMETRIC = "volpath, volpathmis, prbvolpath: all that follow rays through media"
-
-# Properties that must be decided.
-NEEDED = ("sampling", "weights", "realisable")
 
 HOLDS, FAILS, UNDECIDED, LACKS = "holds", "fails", "undecided", "lacks"
 
@@ -96,6 +84,14 @@ class Property:
         Of its worst finding, which its reproducer shows.
     of_volumes : bool
         Whether it is one of a phase function.
+    needed : bool
+        Whether a verdict is undecided without it.
+    integrators : str
+        That a failure reaches, by its effect; may be empty.
+    guess : Guess or None
+        Of which `function` and `mistake` are the text.
+    conditions : tuple of Condition
+        Of all that fails.
     """
 
     name: str
@@ -113,18 +109,18 @@ class Property:
     kind: Kind | MatrixKind | None = field(default=None, repr=False)
     about: str = field(default="", repr=False)
     of_volumes: bool = False
+    needed: bool = field(default=False, repr=False)
+    integrators: str = field(default="", repr=False)
+    guess: Guess | None = field(default=None, repr=False)
+    conditions: tuple[Condition | None, ...] = field(default=(), repr=False)
 
     @property
     def reach(self) -> str:
         """Text on integrators that the effect reaches and its size; may be empty."""
-        if self.of_volumes:
-            return VOLUMETRIC if self.effect in (BIAS, BREAKS) else ""
-        reached = integrators(self.name, self.effect)
-        if reached is None:
-            return ""
-        if self.share is None or self.name == "ends":
-            return reached
-        return f"{reached}; {self.share:.2g} of the flux from a lit surface"
+        known = self.share is not None and self.name != "ends"
+        if not (self.integrators and known) or self.of_volumes:
+            return self.integrators
+        return f"{self.integrators}; {self.share:.2g} of the flux from a lit surface"
 
     @property
     def consequence(self) -> str | None:
@@ -161,6 +157,8 @@ class Verdict:
         By incident direction.
     source : str or None
         Statements that load the BSDF as ``bsdf``; None of an object.
+    guess : Guess or None
+        Of which `function` and `mistake` are the text.
     """
 
     # how a verdict shows itself in a notebook: its page sets it
@@ -173,6 +171,7 @@ class Verdict:
     settings: dict[str, Any]
     maps: tuple[FourMaps, ...] = field(default=(), repr=False)
     source: str | None = field(default=None, repr=False)
+    guess: Guess | None = field(default=None, repr=False)
 
     @property
     def passed(self) -> bool:
@@ -191,7 +190,7 @@ class Verdict:
         if self._failed:
             return ""
         for one in self.properties:
-            if one.name in NEEDED and one.status == UNDECIDED and one.effect != NOISE:
+            if one.needed and one.status == UNDECIDED and one.effect != NOISE:
                 return one.statistic
         return ""
 
@@ -217,7 +216,7 @@ class Verdict:
 
         def rank(one: Property) -> tuple[int, bool, float]:
             share = np.inf if one.share is None else one.share
-            explains = one.mistake is not None and one.mistake == self.mistake
+            explains = one.guess is not None and one.guess == self.guess
             return EFFECTS.index(str(one.effect)), not explains, -share
 
         failed = [one for one in self.properties if one.status == FAILS]
@@ -256,9 +255,8 @@ class Verdict:
             for scores in (maps.count_scores, maps.weight_scores)
             for p in scores.p_values.values()
         ]
-        place = str(maps.condition)
-        told = (x for one in self.failures for x in (one.statistic, *one.places))
-        return min(p_values, default=1.0) < level or any(place in x for x in told)
+        places = {str(at) for one in self.failures for at in one.conditions}
+        return min(p_values, default=1.0) < level or str(maps.condition) in places
 
     def _repr_html_(self) -> str:
         """Headline and properties, for notebooks."""
@@ -340,18 +338,22 @@ def properties_of(
     list of Property
     """
     level = alpha / max(len(evidence.tests), 1)
-    return [
-        replace(
-            _property(evidence, name, level, name in allow),
-            question=question,
-            of_volumes=evidence.properties is PHASE,
-        )
-        for name, question in evidence.properties.items()
-    ]
+    found = []
+    for question in evidence.questions:
+        one = _property(evidence, question, level, question.name in allow)
+        reached = question.reached(one.effect)
+        if evidence.of_volumes:
+            reached = VOLUMETRIC if one.effect in (BIAS, BREAKS) else ""
+        fixed = {"question": question.text, "needed": question.needed}
+        fixed |= {"of_volumes": evidence.of_volumes, "integrators": reached}
+        found.append(replace(one, **fixed))
+    return found
 
 
-def _property(evidence: Evidence, name: str, level: float, allowed: bool) -> Property:
-    breaches = evidence.of(name)
+def _property(
+    evidence: Evidence, question: Question, level: float, allowed: bool
+) -> Property:
+    name, breaches = question.name, evidence.of(question.name)
     tests = [t for t in evidence.tests if t.name == name]
     smallest = min((t.p for t in tests), default=None)
     p_value = None if smallest is None else float(min(1.0, smallest * len(tests)))
@@ -362,25 +364,27 @@ def _property(evidence: Evidence, name: str, level: float, allowed: bool) -> Pro
         shares = [one.share for one in found if one.effect == effect]
         # what does most harm, and of that what says most
         breaches = [b for b in breaches if b.effect == effect] or breaches
-        worst = max(breaches, key=lambda b: b.size, default=None)
+        breaches = sorted(breaches, key=lambda b: -b.size)
+        worst = breaches[0] if breaches else None
         text = worst.statistic if worst and not beyond else _worst_statistic(beyond)
         if not beyond and len(breaches) > 1:
             text += f"; {len(breaches) - 1} more like it"
-        shown = worst or _worst(beyond)
-        places = [b.statistic for b in sorted(breaches, key=lambda b: -b.size)]
+        shown, guess = worst or _worst(beyond), worst and worst.guess
         return Property(
             name,
             LACKS if allowed else FAILS,
             text,
-            worst.mistake if worst else None,
-            worst.function if worst else None,
+            str(guess) if guess else None,
+            str(guess.functions) if guess else None,
             p_value,
             effect,
-            tuple(places[:MAX_PLACES]),
+            tuple(b.statistic for b in breaches[:MAX_PLACES]),
             share=max((x for x in shares if x is not None), default=None),
             condition=shown.condition,
             kind=shown.kind,
             about=shown.about,
+            guess=guess,
+            conditions=(shown.condition, *(b.condition for b in breaches)),
         )
     if name in evidence.declared:
         return Property(name, LACKS, evidence.declared[name], p_value=p_value)
@@ -388,7 +392,7 @@ def _property(evidence: Evidence, name: str, level: float, allowed: bool) -> Pro
     if name in evidence.undecided:
         text = evidence.undecided[name]
         return Property(name, UNDECIDED, text, p_value=p_value, effect=downgraded)
-    text, near = evidence.remarks.get(name, ""), ""
+    text, near = "; ".join(evidence.remarks.get(name, [])), ""
     if smallest is not None:
         least = f"smallest p of {len(tests)} tests {smallest:.2g}"
         text = f"{text}; {least}" if text else least
@@ -406,7 +410,6 @@ def _worst_statistic(beyond: Sequence[Test]) -> str:
     """Statistic of the worst test that chance does not explain, and where it is."""
     worst = _worst(beyond)
     places = {str(t.condition) for t in beyond}
-    known = worst.condition is None or " at theta_i " in worst.statistic
-    place = "" if known else f" at {worst.condition}"
+    place = "" if worst.condition is None else f" at {worst.condition}"
     more = f", and under {len(places) - 1} more conditions" if len(places) > 1 else ""
     return f"{worst.statistic}{place}{more}, p = {worst.p:.2g}"

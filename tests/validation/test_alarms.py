@@ -166,7 +166,7 @@ def test_sums_that_do_not_vary_are_not_pooled(name, pooled):
         maps.four_maps(bsdf, Condition(theta_i, 25.0), grid, 2**17, (0, 1))
         for theta_i in (35.0, 60.0)
     ]
-    weights.check_pooled(evidence)
+    sampling.check_pooled(evidence)
     assert any(test.name == "sampling" for test in evidence.tests) == pooled
 
 

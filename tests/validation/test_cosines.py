@@ -78,5 +78,5 @@ def test_the_cosine_of_the_half_vector_is_recognised():
     assert known.function == "pdf"
     assert known.mistake.startswith("`pdf` lacks the cosine of the half vector (")
     twin = judged("density_tilted", "quick")
-    assert twin.function == "pdf or sample"
+    assert twin.function == "sample or pdf"
     assert twin.mistake.startswith("`sample` or `pdf`: directions are drawn with")

@@ -10,6 +10,8 @@ import mitsuba as mi
 import pytest
 
 from gonio_mi.validation import validate
+from gonio_mi.validation.checks.answers import ANSWERS
+from gonio_mi.validation.checks.weights import WEIGHTS
 from gonio_mi.validation.conditions import EFFORTS, Condition
 from gonio_mi.validation.evidence import Breach, Test
 
@@ -102,8 +104,8 @@ def test_a_share_is_of_what_a_surface_gets():
     """By the cosine, exact at 0 and to rounding at 60 degrees."""
     steep, slanted = (Condition(theta) for theta in (0.0, 60.0))
     for condition, part in ((None, 1), (steep, 1), (slanted, 0.5)):
-        found = Test("weights", "", condition, 0.3)
+        found = Test(WEIGHTS, "", condition, 0.3)
         assert found.share == pytest.approx(0.3 * part, rel=1e-15)
-    breach = Breach("weights", "", Condition(60.0), 0.3)
+    breach = Breach(WEIGHTS, "", Condition(60.0), 0.3)
     assert breach.share == pytest.approx(0.15, rel=1e-15)
-    assert Breach("answers", "").share is None
+    assert Breach(ANSWERS, "").share is None

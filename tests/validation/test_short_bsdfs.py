@@ -64,7 +64,7 @@ def test_cost_is_not_compared_with_itself():
     for name, same in (("diffuse", True), ("two_lobes", False)):
         evidence = Evidence(mi.load_dict({"type": name}))
         cost.check_time(evidence, Condition(40.0))
-        assert ("times as long" in evidence.remarks["cost"]) == (not same)
+        assert ("times as long" in evidence.remarks["cost"][0]) == (not same)
 
 
 @pytest.mark.usefixtures("rgb")

@@ -21,7 +21,7 @@ CASES = [
     ({"kept": COSINE, "cut": True}, "sample", OF_SAMPLE),
     (
         {"kept": COSINE, "cut": True, "hidden": True},
-        "pdf or sample",
+        "sample or pdf",
         "`pdf` lacks the cosine of wo, or the density of `sample` has the cosine of wo",
     ),
 ]

@@ -8,11 +8,42 @@ import mitsuba as mi
 import numpy as np
 
 from ...array_types import Flags
-from ..evidence import BIAS, BREAKS, Evidence
+from ..evidence import BIAS, BREAKS, FROM_LIGHTS, Evidence, Question
 from ..kinds import Kind
+from ..mistakes import EVAL, SAMPLE, Guess, Mistake
 from ..samples import beyond_rounding, samples_of, unequal
 from .delta import Lobe
 from .reciprocity import BothWays, is_constant, ratio_text
+
+ADJOINT = Question(
+    "adjoint",
+    "radiance and importance mode are adjoint to each other",
+    BREAKS,
+    # if importance mode is right and radiance mode is not
+    {BREAKS: FROM_LIGHTS, BIAS: "path and all that trace rays from the sensor"},
+    of_matrices="radiance and importance mode are adjoint, in all elements",
+    explains=2,
+)
+
+
+class Adjoint(Mistake):
+    """What is wrong between the modes."""
+
+    OF_A_WAVELENGTH = """{who} at {nm:g} nm transmits {ways:.4g} times what it does the
+        other way, and {modes:.4g} times what it does in radiance mode, where both are
+        eta^2 of that wavelength"""
+    LACKS_ETA2 = "{who} lacks 1/eta^2 in radiance mode"
+    ALIKE = """{who} is the same in both modes: 1/eta^2 is missing in radiance mode, or
+        there in importance mode"""
+    FACTOR_OF_RADIANCE = """{who} of radiance mode is {factor:.4g} times what is due for
+        wi on the {side}"""
+    RATIO = "{who} of the modes has the ratio {ratio:.4g}, where 1 is due"
+    NOT_SWAPPED = """{who} of radiance mode is not that of importance mode with wi and
+        wo swapped"""
+    WEIGHT_LACKS_ETA2 = "{who} weight lacks 1/eta^2 in radiance mode"
+    ETA_UPSIDE_DOWN = """{who} gives the eta of the other side, or its weight in
+        radiance mode is multiplied by eta^2, which divides it"""
+    OTHER_WEIGHT = "{who} weight in radiance mode is {ratio:.4g} times the other one"
 
 
 def check_ways(evidence: Evidence, ways: BothWays) -> None:
@@ -32,21 +63,21 @@ def check_ways(evidence: Evidence, ways: BothWays) -> None:
     wrong = unequal(ways.forward, ways.adjoint, slack)
     wrong &= ways.smooth & (here | (reciprocal & there))
     if beyond_rounding(wrong):
-        of_others = _mistake_of_wavelengths(ways, wrong)
+        of_others = _guess_of_wavelengths(ways, wrong)
         of_radiance = reciprocal[wrong].mean() > 0.5 and not of_others
         evidence.breach(
-            "adjoint",
-            "eval",
-            ratio_text(ways.forward, ways.adjoint, wrong, samples),
-            of_others or _mistake(ways, wrong, of_radiance),
-            samples.condition,
-            size=float(wrong.mean()),
+            ADJOINT,
+            of_others or _guess(ways, wrong, of_radiance),
+            samples,
+            wrong,
+            statistic=ratio_text(ways.forward, ways.adjoint, wrong, samples),
+            off=None,
             effect=BIAS if of_radiance else BREAKS,
         )
 
 
-def _mistake_of_wavelengths(ways: BothWays, wrong: Flags) -> str:
-    """Mistake of other wavelengths than the first in transmission; empty if it is not.
+def _guess_of_wavelengths(ways: BothWays, wrong: Flags) -> Guess | None:
+    """Mistake of other wavelengths than the first in transmission; None if it is not.
 
     Their indices are not known, nor which of the modes is wrong.
     """
@@ -57,7 +88,7 @@ def _mistake_of_wavelengths(ways: BothWays, wrong: Flags) -> str:
         or beyond_rounding(first & wrong)
         or samples.reflected[wrong].any()
     ):
-        return ""
+        return None
     by_way, by_mode = (
         np.median(here[wrong] / np.maximum(other[wrong], 1e-30), axis=0)
         for here, other in (
@@ -66,14 +97,11 @@ def _mistake_of_wavelengths(ways: BothWays, wrong: Flags) -> str:
         )
     )
     k = int(np.abs(by_way - by_mode).argmax())
-    return (
-        f"`eval` at {samples.condition.nm[k]:g} nm transmits {by_way[k]:.4g} times "
-        f"what it does the other way, and {by_mode[k]:.4g} times what it does in "
-        "radiance mode, where both are eta^2 of that wavelength"
-    )
+    nm = samples.condition.nm[k]
+    return Adjoint.OF_A_WAVELENGTH(EVAL, nm=nm, ways=by_way[k], modes=by_mode[k])
 
 
-def _mistake(ways: BothWays, wrong: Flags, of_radiance: bool) -> str:
+def _guess(ways: BothWays, wrong: Flags, of_radiance: bool) -> Guess:
     """Likely mistake between the modes; `of_radiance` if importance mode is right."""
     if not ways.samples.reflected[wrong].any():
         # adjoint light comes from the other side, where 1/eta^2 is eta^2 from here
@@ -82,22 +110,14 @@ def _mistake(ways: BothWays, wrong: Flags, of_radiance: bool) -> str:
         if is_constant(ratio):
             middle = np.median(ratio)
             if of_radiance and abs(middle / eta2 - 1) < 1e-3:
-                return "`eval` lacks 1/eta^2 in radiance mode"
+                return Adjoint.LACKS_ETA2(EVAL)
             if abs(middle * eta2 - 1) < 1e-3 or abs(middle / eta2 - 1) < 1e-3:
-                return (
-                    "`eval` is the same in both modes: 1/eta^2 is missing in radiance "
-                    "mode, or there in importance mode"
-                )
+                return Adjoint.ALIKE(EVAL)
             if of_radiance:
-                lit = ways.samples.condition.side
-                return (
-                    f"`eval` of radiance mode is {1 / middle:.4g} times what is due "
-                    f"for wi on the {'back' if lit == 'front' else 'front'}"
-                )
-            return f"`eval` of the modes has the ratio {middle:.4g}, where 1 is due"
-    return (
-        "`eval` of radiance mode is not that of importance mode with wi and wo swapped"
-    )
+                side = {"front": "back", "back": "front"}[ways.samples.condition.side]
+                return Adjoint.FACTOR_OF_RADIANCE(EVAL, factor=1 / middle, side=side)
+            return Adjoint.RATIO(EVAL, ratio=middle)
+    return Adjoint.NOT_SWAPPED(EVAL)
 
 
 def check_lobe(
@@ -119,24 +139,16 @@ def check_lobe(
     if beyond_rounding(wrong):
         ratio = np.median(same.weight[wrong] / samples.weight[wrong])
         due = 1 / np.median(eta2[wrong])
+        mistake = Adjoint.OTHER_WEIGHT
         if returns and abs(ratio - 1) < 1e-3:
-            mistake = "`sample` weight lacks 1/eta^2 in radiance mode"
+            mistake = Adjoint.WEIGHT_LACKS_ETA2
         elif abs(ratio * due - 1) < 1e-3:
-            mistake = (
-                "`sample` gives the eta of the other side, or its weight in radiance "
-                "mode is multiplied by eta^2, which divides it"
-            )
-        else:
-            mistake = (
-                f"`sample` weight in radiance mode is {ratio:.4g} times the other one"
-            )
+            mistake = Adjoint.ETA_UPSIDE_DOWN
         evidence.breach(
-            "adjoint",
-            "sample",
-            f"radiance over importance is {ratio:.4g} where 1/eta^2 = {due:.4g} "
-            f"at {samples.condition}",
-            mistake,
+            ADJOINT,
+            mistake(SAMPLE, ratio=ratio),
             samples.condition,
+            found=f"radiance over importance is {ratio:.4g} where 1/eta^2 = {due:.4g}",
             effect=BIAS if returns else BREAKS,
             kind=Kind.ADJOINT_OF_A_LOBE,
         )

@@ -14,10 +14,38 @@ import numpy as np
 from ...array_types import Flags, Floats, Numbers
 from ...collector.directions import direction
 from ..conditions import POSITION, TURN
-from ..evidence import BIAS, INTERFACE, Evidence
+from ..evidence import ALL, BIAS, INTERFACE, Evidence, Question
 from ..kinds import Kind
+from ..mistakes import EVAL, PDF, SAMPLE, Function, Guess, Mistake
 from ..probe import Probe, random_numbers, spectral, vectors
 from ..samples import Samples, beyond_rounding, unequal
+
+ANSWERS = Question(
+    "answers",
+    "all functions answer, with finite values of at least 0",
+    integrators=ALL,
+    of_volumes="both functions answer, with finite values of at least 0; `eval` and "
+    "`pdf` are the answers of `eval_pdf`",
+    explains=0,
+    of_matrices="all functions answer, with finite matrices",
+)
+
+
+class Answers(Mistake):
+    """What is wrong with answers."""
+
+    IMPROPER = "the {what} of {who} is {value}"
+    IMPROPER_IN_PLACES = "the {what} of {who} is {value} in places"
+    APPLIES_A_TRANSFORM = "{who} applies `{transform}` to wo, which is local"
+    MIXES_COORDINATES = "{who} mixes local and world coordinates"
+    MIXES_IN_WEIGHT = "{who} mixes local and world coordinates in its weight"
+    IN_THE_WORLD = """{who} returns directions in world coordinates, where local ones
+        are due"""
+    OF_PLACE = "{both} depend differently on the place in the world, si.p"
+    OF_ORDER = "{who} depends on the place of a ray in the array"
+    OTHER_ALBEDO = "{who} is not the reflectance of `eval`, {due:.4g}"
+    OF_CALLS = "{who} returns different values when called again"
+
 
 # Properties that hold unless two functions contradict each other.
 AGREEMENTS = (
@@ -34,11 +62,10 @@ AGREEMENTS = (
 N_LATTICE = 2**12
 
 # What a function does whose answers change for no reason that is known.
-MIXED = "mixes local and world coordinates"
-OF_WORLD = "depends on where the surface is in the world"
+MIXED = (Answers.MIXES_COORDINATES, Answers.MIXES_IN_WEIGHT)
 
 # Properties that are lacking if two functions depend differently on the place.
-OF_PLACE = {"sampled_weight": ("eval", "sample"), "sampled_pdf": ("pdf", "sample")}
+OF_PLACE = {"sampled_weight": EVAL | SAMPLE, "sampled_pdf": SAMPLE | PDF}
 
 # What a lobe can be: names as in mi.BSDFFlags.
 LOBES = (
@@ -58,35 +85,30 @@ MAX_ALBEDO_OFF = 1e-3
 MAX_DISPLACEMENT = 1e-3
 
 
+@ANSWERS.asks("samples")
 def check_samples(evidence: Evidence, samples: Samples) -> None:
     """Check that all answers about samples are finite and at least 0."""
     given = samples.given
     smooth = given & ~samples.delta
     everywhere = np.ones_like(given)
-    cases: list[tuple[str, str, Floats, Flags]] = [
-        ("sample", "weight", samples.weight, everywhere),
-        ("sample", "pdf", samples.sampled_pdf, given),
+    cases: list[tuple[Function, str, Floats, Flags]] = [
+        (SAMPLE, "weight", samples.weight, everywhere),
+        (SAMPLE, "pdf", samples.sampled_pdf, given),
         # components of a vector may be negative
-        ("sample", "direction", np.abs(samples.wo), given),
-        ("eval", "value", samples.eval, smooth),
-        ("eval", "value", samples.reverse, smooth),
-        ("pdf", "value", samples.pdf, smooth),
+        (SAMPLE, "direction", np.abs(samples.wo), given),
+        (EVAL, "value", samples.eval, smooth),
+        (EVAL, "value", samples.reverse, smooth),
+        (PDF, "value", samples.pdf, smooth),
     ]
     for name in ("eval_pdf", "eval_pdf_sample"):
-        cases += [(name, "value", x, smooth) for x in samples.joint[name]]
+        joint = samples.joint[name]
+        cases += [(Function.named(name), "value", x, smooth) for x in joint]
     for function, what, value, where in cases:
         wrong = improper(value) & where
         if wrong.any():
-            evidence.breach(
-                "answers",
-                function,
-                samples.fraction(wrong),
-                f"the {what} of `{function}` is {example(value[wrong])} in places",
-                samples.condition.middle(wrong),
-                size=float(wrong.mean()),
-                off=float(wrong.mean()),
-                about=what,
-            )
+            fields = {"what": what, "value": example(value[wrong])}
+            guess = Answers.IMPROPER_IN_PLACES(function, **fields)
+            evidence.breach(ANSWERS, guess, samples, wrong, about=what)
 
 
 @cache
@@ -100,20 +122,20 @@ def check_lattice(evidence: Evidence, probe: Probe) -> None:
     """Check the same on a lattice of directions on the sphere, sampled or not."""
     wo = lattice()
     value, density = probe.values(wo), probe.densities(wo)
-    for function, answer in (("eval", value), ("pdf", density)):
+    for function, answer in ((EVAL, value), (PDF, density)):
         wrong = improper(answer)
         if wrong.any():
             i = int(wrong.argmax())
             x, y, z = wo[i]
             theta, phi = np.degrees([np.arccos(z), np.arctan2(y, x)])
             black = np.isfinite(answer[wrong]).all() and not value[wrong].any()
+            fields = {"what": "value", "value": example(answer[wrong])}
             evidence.breach(
-                "answers",
-                function,
-                f"{wrong.mean():.3g} of all directions at {probe.condition}, such as "
-                f"theta_o {theta:.0f}, phi_o {phi % 360:.0f}",
-                f"the value of `{function}` is {example(answer[wrong])} in places",
+                ANSWERS,
+                Answers.IMPROPER_IN_PLACES(function, **fields),
                 probe.condition,
+                found=f"{wrong.mean():.3g} of all directions, such as theta_o "
+                f"{theta:.0f}, phi_o {phi % 360:.0f}",
                 size=float(wrong.mean()),
                 off=float(wrong.mean()),
                 effect=INTERFACE if black else "",
@@ -131,7 +153,7 @@ def check_frames(evidence: Evidence) -> None:
     """
     flat, turned = (
         {
-            (b.name, b.function)
+            (b.name, b.guess.functions)
             for b in evidence.breaches
             if b.name in AGREEMENTS and b.effect == BIAS
             if b.condition is not None and b.condition.turned == is_turned
@@ -144,38 +166,39 @@ def check_frames(evidence: Evidence) -> None:
             found = _turned_answer(evidence.bsdf, samples)
         if found is None:
             continue
-        function, wrong, mistake = found
+        guess, wrong = found
         if _turned_answer(evidence.bsdf, samples, moved=True) is None:
-            _add_place(evidence, samples, function, {name for name, _ in turned - flat})
-        elif turned - flat or not mistake.startswith(MIXED):
-            evidence.breach(
-                "answers",
-                function,
-                f"{samples.fraction(wrong)}, where the surface is turned",
-                f"`{function}` {mistake}",
-                samples.condition.middle(wrong),
-                size=2.0,
-                kind=Kind.OTHER_IN_THE_WORLD,
-            )
+            _remark_on_place(evidence, guess.functions)
+            _add_place(evidence, samples, {name for name, _ in turned - flat})
+        elif turned - flat or guess.mistake not in MIXED:
+            others = {"size": 2.0, "off": None, "kind": Kind.OTHER_IN_THE_WORLD}
+            text = "where the surface is turned,"
+            evidence.breach(ANSWERS, guess, samples, wrong, text, **others)
         else:
-            evidence.remark("answers", f"`{function}` {OF_WORLD}")
+            _remark_on_place(evidence, guess.functions)
         return
 
 
-def _add_place(
-    evidence: Evidence, samples: Samples, function: str, names: Collection[str]
-) -> None:
+def _remark_on_place(evidence: Evidence, function: Function) -> None:
+    """Remark that answers depend on where the surface is in the world."""
+    text = f"{function.quoted} depends on where the surface is in the world"
+    if evidence.of_volumes:
+        text = "it depends on axes of the world"
+    # all of Mitsuba's own phase functions draw azimuths from such an axis
+    if not evidence.of_volumes or function is not SAMPLE:
+        evidence.remark("answers", text)
+
+
+def _add_place(evidence: Evidence, samples: Samples, names: Collection[str]) -> None:
     """Add what depends on the place alone: properties `names` are lacking there."""
-    evidence.remark("answers", f"`{function}` {OF_WORLD}")
     for name in filter(names.__contains__, OF_PLACE):
         both = OF_PLACE[name]
-        text = "` and `".join(both)
+        words = " and ".join(f"`{one}`" for one in both.names)
         evidence.breach(
-            "answers",
-            " or ".join(both),
-            f"{samples.condition}, where the surface is moved",
-            f"`{text}` depend differently on the place in the world, si.p",
+            ANSWERS,
+            Answers.OF_PLACE(both, both=words),
             samples.condition,
+            found="where the surface is moved,",
             size=2.0,
             kind=Kind[name.upper()],
         )
@@ -184,10 +207,10 @@ def _add_place(
 
 def _turned_answer(
     bsdf: mi.BSDF, samples: Samples, moved: bool = False
-) -> tuple[str, Flags, str] | None:
+) -> tuple[Guess, Flags] | None:
     """Function whose answers change with the surface's rotation, or None.
 
-    With the samples that show it, and the mistake. `sample` comes last, for its answers
+    With its mistake, and the samples that show it. `sample` comes last, for its answers
     may follow from those of the others. Unless the surface is `moved` in both cases,
     its place changes, too.
     """
@@ -195,10 +218,9 @@ def _turned_answer(
     if moved:
         probe.p = mi.Point3f(POSITION.tolist())
     usable, wo = samples.usable, samples.wo
-    mixed = MIXED
     for function, ask, here, slack in (
-        ("eval", probe.values, samples.eval, samples.eval_slack),
-        ("pdf", probe.densities, samples.pdf, samples.pdf_slack),
+        (EVAL, probe.values, samples.eval, samples.eval_slack),
+        (PDF, probe.densities, samples.pdf, samples.pdf_slack),
     ):
         wrong = unequal(ask(wo), here, slack) & usable
         if beyond_rounding(wrong):
@@ -209,19 +231,17 @@ def _turned_answer(
                 if beyond_rounding(alike & wrong) and not beyond_rounding(
                     other & alike
                 ):
-                    return function, wrong, f"applies `{name}` to wo, which is local"
-            return function, wrong, mixed
+                    return Answers.APPLIES_A_TRANSFORM(function, transform=name), wrong
+            return Answers.MIXES_COORDINATES(function), wrong
     bs, weight = probe.sample(*samples.random)
     flat = spectral(bs.wo, samples.n)
     wrong = _displaced(flat, wo) & samples.smooth
     if beyond_rounding(wrong):
-        if not beyond_rounding(_displaced(flat @ TURN.T, wo) & samples.smooth):
-            mixed = "returns directions in world coordinates, where local ones are due"
-        return "sample", wrong, mixed
+        same = not beyond_rounding(_displaced(flat @ TURN.T, wo) & samples.smooth)
+        mistake = Answers.IN_THE_WORLD if same else Answers.MIXES_COORDINATES
+        return mistake(SAMPLE), wrong
     wrong = unequal(spectral(weight, samples.n), samples.weight, 0.0) & samples.smooth
-    return (
-        ("sample", wrong, f"{mixed} in its weight") if beyond_rounding(wrong) else None
-    )
+    return (Answers.MIXES_IN_WEIGHT(SAMPLE), wrong) if beyond_rounding(wrong) else None
 
 
 def _displaced(a: Floats, b: Floats) -> Flags:
@@ -242,34 +262,27 @@ def check_order(evidence: Evidence, samples: Samples) -> None:
     _, weight = probe.sample(*random_numbers(samples.u[::-1]), wi=wi)
     n = samples.n
     for function, answer, due, slack in (
-        ("eval", probe.values(wo, samples.wi[::-1]), samples.eval, samples.eval_slack),
-        ("pdf", probe.densities(wo, samples.wi[::-1]), samples.pdf, samples.pdf_slack),
-        ("sample", spectral(weight, n), samples.weight, 0.0),
+        (EVAL, probe.values(wo, samples.wi[::-1]), samples.eval, samples.eval_slack),
+        (PDF, probe.densities(wo, samples.wi[::-1]), samples.pdf, samples.pdf_slack),
+        (SAMPLE, spectral(weight, n), samples.weight, 0.0),
     ):
         wrong = unequal(answer[::-1], due, slack) & samples.usable
         if beyond_rounding(wrong):
-            evidence.breach(
-                "answers",
-                function,
-                samples.fraction(wrong),
-                f"`{function}` depends on the place of a ray in the array",
-                samples.condition.middle(wrong),
-                size=2.0,
-                off=float(wrong.mean()),
-                kind=Kind.OTHER_IN_ANOTHER_PLACE,
-            )
+            guess, kind = Answers.OF_ORDER(function), Kind.OTHER_IN_ANOTHER_PLACE
+            evidence.breach(ANSWERS, guess, samples, wrong, size=2.0, kind=kind)
             return
 
 
 def check_albedo(evidence: Evidence) -> None:
     """Check range of ``eval_diffuse_reflectance``, and its value if Lambertian."""
     samples = evidence.whole[0]
-    name, all_flags = "eval_diffuse_reflectance", int(evidence.bsdf.flags())
+    function, all_flags = Function.EVAL_DIFFUSE_REFLECTANCE, int(evidence.bsdf.flags())
     probe = Probe(evidence.bsdf, samples.condition)
-    reported = probe.of_surface(name)
-    mistake = ""
+    reported = probe.of_surface(str(function))
+    guess = None
     if improper(reported[None]).any():
-        mistake = f"the value of `{name}` is {example(reported[None])}"
+        fields = {"what": "value", "value": example(reported[None])}
+        guess = Answers.IMPROPER(function, **fields)
     usable = samples.usable & samples.reflected & (samples.wo[:, 2] != 0)
     lobes = sum(int(getattr(mi.BSDFFlags, lobe)) for lobe in LOBES)
     if all_flags & lobes == int(mi.BSDFFlags.DiffuseReflection) and usable.any():
@@ -277,18 +290,10 @@ def check_albedo(evidence: Evidence) -> None:
         due = np.median(value, axis=0)
         even = np.ptp(value, axis=0).max() < MAX_ALBEDO_OFF * due.max()
         if even and np.abs(reported - due).max() > MAX_ALBEDO_OFF * due.max():
-            mistake = f"`{name}` is not the reflectance of `eval`, {due.max():.4g}"
-    if mistake:
-        text = f"{reported.max():.4g} at {samples.condition}"
-        evidence.breach(
-            "answers",
-            name,
-            text,
-            mistake,
-            samples.condition,
-            effect=INTERFACE,
-            kind=Kind.ALBEDO,
-        )
+            guess = Answers.OTHER_ALBEDO(function, due=due.max())
+    if guess:
+        text, how = f"{reported.max():.4g}", {"effect": INTERFACE, "kind": Kind.ALBEDO}
+        evidence.breach(ANSWERS, guess, samples.condition, found=text, **how)
 
 
 def improper(value: Numbers) -> Flags:
@@ -314,23 +319,18 @@ def check_memory(
     `after` are answers of ``eval`` and ``pdf`` that were asked for in between.
     """
     for function, before, after_all in (
-        ("eval", first.eval, after[0]),
-        ("pdf", first.pdf, after[1]),
-        ("sample", first.weight, again.weight),
-        ("sample", first.sampled_pdf, again.sampled_pdf),
-        ("eval", first.eval, again.eval),
-        ("pdf", first.pdf, again.pdf),
+        (EVAL, first.eval, after[0]),
+        (PDF, first.pdf, after[1]),
+        (SAMPLE, first.weight, again.weight),
+        (SAMPLE, first.sampled_pdf, again.sampled_pdf),
+        (EVAL, first.eval, again.eval),
+        (PDF, first.pdf, again.pdf),
     ):
         usable: Any = np.isfinite(before) & np.isfinite(after_all)
         usable = usable if usable.ndim == 1 else usable.all(axis=1)
         wrong = unequal(before, after_all, 0.0) & usable
         if beyond_rounding(wrong):
-            evidence.breach(
-                "answers",
-                function,
-                first.fraction(wrong),
-                f"`{function}` returns different values when called again",
-                first.condition,
-                kind=Kind.OTHER_WHEN_CALLED_AGAIN,
-            )
+            guess = Answers.OF_CALLS(function)
+            how = {"size": 1.0, "off": None, "kind": Kind.OTHER_WHEN_CALLED_AGAIN}
+            evidence.breach(ANSWERS, guess, first, wrong, **how)
             return

@@ -8,11 +8,33 @@ import mitsuba as mi
 import numpy as np
 
 from ...array_types import Flags, Floats
-from ..evidence import Evidence
+from ..evidence import INTERFACE, SAME, Evidence, Question
 from ..kinds import Kind
+from ..mistakes import EVAL, PDF, SAMPLE, Guess, Mistake
 from ..probe import Probe, is_delta, numbers, spectral
 from ..samples import Samples, beyond_rounding, unequal
 from .answers import LOBES
+from .flags import DECLARED
+
+COMPONENTS = Question(
+    "components",
+    "components add up to the whole",
+    INTERFACE,
+    of_volumes=SAME,
+    explains=3,
+)
+
+
+class Components(Mistake):
+    """What is wrong with components."""
+
+    OTHER_LOBE = """the weight of {who} times the probability of the discrete lobe of
+        component {component} is not that of the component alone"""
+    IGNORED = "{those} ignore ctx.component"
+    NOT_HEEDED = "{those} does not heed ctx.component"
+    NO_SUM = "{who} does not heed ctx.component, or the components are not a sum"
+    PDF_IS_MORE = "{who} of the whole is more than those of its components together"
+    TYPE_NOT_HEEDED = "{who} does not heed ctx.type_mask"
 
 
 @dataclass(frozen=True)
@@ -64,13 +86,11 @@ def _check_discrete(evidence: Evidence, samples: Samples, each: Alone) -> None:
         several = unequal(flux, np.broadcast_to(whole, flux.shape), 0.0).any()
         if not several and unequal(whole[None], due[None], 0.0)[0]:
             evidence.breach(
-                "components",
-                "sample",
-                f"{due.max():.4g} of the light alone, {whole.max():.4g} in the whole, "
-                f"at {samples.condition}",
-                f"the weight of `sample` times the probability of the discrete lobe of "
-                f"component {i} is not that of the component alone",
+                COMPONENTS,
+                Components.OTHER_LOBE(SAMPLE, component=i),
                 samples.condition,
+                found=f"{due.max():.4g} of the light alone, {whole.max():.4g} in the "
+                "whole,",
                 kind=Kind.LOBE_OF_A_COMPONENT,
                 about=str(i),
             )
@@ -111,21 +131,15 @@ def _check_types(evidence: Evidence, samples: Samples, each: Alone) -> None:
         both = samples.smooth & (density > 0) & (of_component > 0)
         share = np.median(density[both] / of_component[both]) if both.any() else 1.0
         for function, wrong in (
-            ("eval", unequal(probe.values(samples.wo), each.eval[i], 0.0)),
-            ("pdf", unequal(density, min(share, 1.0) * of_component, 0.0)),
-            ("sample", given & ((drawn & (lobes ^ own)) != 0)),
+            (EVAL, unequal(probe.values(samples.wo), each.eval[i], 0.0)),
+            (PDF, unequal(density, min(share, 1.0) * of_component, 0.0)),
+            (SAMPLE, given & ((drawn & (lobes ^ own)) != 0)),
         ):
-            wrong = wrong & (samples.smooth | (function == "sample"))
-            if beyond_rounding(wrong) and (apart or function == "sample"):
-                evidence.breach(
-                    "flags",
-                    function,
-                    samples.fraction(wrong),
-                    f"`{function}` does not heed ctx.type_mask",
-                    samples.condition,
-                    size=float(wrong.mean()),
-                    kind=Kind.TYPE_MASK,
-                )
+            wrong = wrong & (samples.smooth | (function is SAMPLE))
+            if beyond_rounding(wrong) and (apart or function is SAMPLE):
+                guess = Components.TYPE_NOT_HEEDED(function)
+                how = {"off": None, "kind": Kind.TYPE_MASK}
+                evidence.breach(DECLARED, guess, samples, wrong, **how)
                 return
 
 
@@ -149,47 +163,41 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
         whole = samples.eval[wrong].sum(axis=1)
         ratio = total[wrong].sum(axis=1) / np.maximum(whole, 1e-30)
         evidence.breach(
-            "components",
-            "eval",
-            f"their sum is {np.median(ratio):.4g} times the whole for "
-            f"{samples.fraction(wrong)}",
-            deaf
-            or "`eval` does not heed ctx.component, or the components are not a sum",
-            samples.condition,
+            COMPONENTS,
+            deaf or Components.NO_SUM(EVAL),
+            samples,
+            wrong,
+            f"their sum is {np.median(ratio):.4g} times the whole",
             size=1 + float(wrong.mean()),
+            off=None,
         )
     more = unequal(samples.pdf, density, samples.pdf_slack) & (samples.pdf > density)
     more &= usable
     if beyond_rounding(more):
         ratio = samples.pdf[more] / np.maximum(density[more], 1e-30)
-        evidence.breach(
-            "components",
-            "pdf",
-            f"`pdf` is up to {min(ratio.max(), 1e6):.4g} times the sum of those of "
-            f"the components for {samples.fraction(more)}",
-            "`pdf` of the whole is more than those of its components together",
-            samples.condition,
-            size=float(more.mean()),
-        )
+        text = f"`pdf` is up to {min(ratio.max(), 1e6):.4g} times the sum of those of "
+        text += "the components"
+        guess = Components.PDF_IS_MORE(PDF)
+        evidence.breach(COMPONENTS, guess, samples, more, text, off=None)
 
 
-def _deaf(samples: Samples, each: Alone, usable: Flags) -> str:
-    """Sentence on the functions that ignore ctx.component; empty if none does.
+def _deaf(samples: Samples, each: Alone, usable: Flags) -> Guess | None:
+    """What functions ignore ctx.component; None if none does.
 
-    For a BSDF with one component this cannot be told.
+    For a BSDF with one component this cannot be told. `eval` shows it.
     """
     if len(each.pdf) < 2:
-        return ""
+        return None
     own = {
-        "eval": [unequal(v, samples.eval, samples.eval_slack) for v in each.eval],
-        "pdf": [unequal(v, samples.pdf, samples.pdf_slack) for v in each.pdf],
-        "sample": [unequal(v, samples.wo, 0.0) for v in each.wo],
+        EVAL: [unequal(v, samples.eval, samples.eval_slack) for v in each.eval],
+        PDF: [unequal(v, samples.pdf, samples.pdf_slack) for v in each.pdf],
+        SAMPLE: [unequal(v, samples.wo, 0.0) for v in each.wo],
     }
     *others, last = [
-        f"`{name}`"
-        for name, differs in own.items()
+        function.quoted
+        for function, differs in own.items()
         if not any(beyond_rounding(one & usable) for one in differs)
     ] or [""]
     if others:
-        return f"{', '.join(others)} and {last} ignore ctx.component"
-    return last and f"{last} does not heed ctx.component"
+        return Components.IGNORED(EVAL, those=f"{', '.join(others)} and {last}")
+    return Components.NOT_HEEDED(EVAL, those=last) if last else None

@@ -9,19 +9,10 @@ import mitsuba as mi
 import numpy as np
 
 from ..conditions import Effort, Sweep
-from ..evidence import PHASE, Evidence
+from ..evidence import Evidence
 from ..probe import Probe, numbers, spectral
 from ..samples import Samples, beyond_rounding, samples_of, unequal
-from . import (
-    answers,
-    cost,
-    directions,
-    eval_pdf,
-    sampled_pdf,
-    sampled_weight,
-    sampling,
-    weights,
-)
+from . import answers, cost, sampling
 
 
 def check_identities(evidence: Evidence, samples: Samples) -> None:
@@ -29,14 +20,14 @@ def check_identities(evidence: Evidence, samples: Samples) -> None:
 
     In radiance mode only if it is not importance mode over eta^2.
     """
-    _check_identities(evidence, samples)
+    evidence.ask("samples", samples)
     condition = samples.condition
     whole = condition.mode == "importance" and condition.component is None
     if whole and _modes_disagree(evidence.bsdf, samples):
         radiance, key = replace(condition, mode="radiance"), (evidence.seed, 8)
         other = samples_of(evidence.bsdf, radiance, samples.n, key)
         evidence.in_radiance_mode.append(other)
-        _check_identities(evidence, other)
+        evidence.ask("samples", other)
 
 
 def _modes_disagree(bsdf: mi.BSDF, samples: Samples) -> bool:
@@ -54,13 +45,6 @@ def _modes_disagree(bsdf: mi.BSDF, samples: Samples) -> bool:
     differs |= unequal(eta2 * samples.other_mode, samples.eval, slack)
     differs |= unequal(probe.densities(samples.wo), samples.pdf, samples.pdf_slack)
     return beyond_rounding(differs & given)
-
-
-def _check_identities(evidence: Evidence, samples: Samples) -> None:
-    for check in (answers, directions, weights, sampled_pdf, sampled_weight):
-        check.check_samples(evidence, samples)
-    if evidence.properties is not PHASE:
-        eval_pdf.check_samples(evidence, samples)
 
 
 def check_sweep(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> None:

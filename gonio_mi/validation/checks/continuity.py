@@ -7,10 +7,23 @@ import numpy as np
 
 from ...collector.directions import direction
 from ..conditions import PHI, Condition
-from ..evidence import Evidence
+from ..evidence import MODEL, Evidence, Question
 from ..kinds import Kind
+from ..mistakes import EVAL, PDF, Mistake
 from ..probe import Probe, spectral, uniform, vectors
 from ..samples import ULPS, Samples
+
+CONTINUITY = Question(
+    "continuity", "no jump at normal incidence, nothing black before the horizon", MODEL
+)
+
+
+class Continuity(Mistake):
+    """Where values jump."""
+
+    AT_NORMAL = "{who} jumps at normal incidence"
+    AT_HORIZON = "{who} is black where {direction} is near the horizon, and lit above"
+
 
 # Tilt from the normal, in radians, and the part of all values that may change by it: a
 # lobe ten times as wide changes by so much.
@@ -45,8 +58,8 @@ def check_normal(evidence: Evidence, samples: Samples) -> None:
         for phi in np.radians(PHI)
     ]
     for function, ask, here, slack in (
-        ("eval", probe.values, samples.eval, samples.eval_slack),
-        ("pdf", probe.densities, samples.pdf, samples.pdf_slack),
+        (EVAL, probe.values, samples.eval, samples.eval_slack),
+        (PDF, probe.densities, samples.pdf, samples.pdf_slack),
     ):
         # a tilt changes as many times more than rounding as it is larger than 4 ulp
         steep = slack[usable].sum() * MAX_TILT / ULPS
@@ -56,13 +69,12 @@ def check_normal(evidence: Evidence, samples: Samples) -> None:
         jump = min(changes) / whole if whole > 0 else 0.0
         if jump > MAX_JUMP and min(changes) > 4 * steep:
             evidence.breach(
-                "continuity",
-                function,
-                f"`{function}` changes by {jump:.3g} of itself within "
+                CONTINUITY,
+                Continuity.AT_NORMAL(function),
+                samples.condition,
+                statistic=f"{function.quoted} changes by {jump:.3g} of itself within "
                 f"{np.degrees(MAX_TILT):.1g} degrees of normal incidence, "
                 f"{samples.condition.side}",
-                f"`{function}` jumps at normal incidence",
-                samples.condition,
                 size=float(jump),
                 kind=Kind.JUMP_AT_NORMAL,
             )
@@ -98,11 +110,6 @@ def check_cutoffs(evidence: Evidence, condition: Condition) -> None:
         if ones[k] < MIN_LAST * max(ones):
             continue  # it has faded before
         theta = np.degrees(np.arccos(last))
-        evidence.breach(
-            "continuity",
-            "eval",
-            f"black for theta_{name[1]} beyond {theta:.4g} degrees, {condition.side}",
-            f"`eval` is black where {name} is near the horizon, and lit above",
-            condition,
-            size=float(last),
-        )
+        text = f"black for theta_{name[1]} beyond {theta:.4g} degrees, {condition.side}"
+        guess, how = Continuity.AT_HORIZON(EVAL, direction=name), {"size": float(last)}
+        evidence.breach(CONTINUITY, guess, condition, statistic=text, **how)

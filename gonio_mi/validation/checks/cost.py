@@ -17,9 +17,11 @@ import numpy as np
 
 from ...transport.kernels import first_cause
 from ..conditions import Condition
-from ..evidence import COST, Evidence
+from ..evidence import COST, INTERFACE, SAME, Evidence, Question
 from ..probe import Probe, uniform
 from ..samples import Samples, samples_of
+
+CALLS = Question("cost", "repeated calls compile no kernel", INTERFACE, of_volumes=SAME)
 
 # Rays of a call, and turns in which a plugin and one of Mitsuba's own take it.
 N_RAYS = 2**19

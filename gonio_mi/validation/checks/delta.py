@@ -10,10 +10,30 @@ from scipy import special
 
 from ...array_types import Flags, Floats
 from ...single_precision import BSDF_ROUNDING
-from ..evidence import MODEL, Evidence
+from ..evidence import MODEL, SAMPLED, Evidence, Question
 from ..kinds import Kind
+from ..mistakes import SAMPLE, Function, Mistake
 from ..probe import Probe
 from ..samples import Samples, beyond_rounding
+
+DELTA = Question(
+    "delta",
+    "discrete lobes have one direction, weight and probability",
+    integrators=SAMPLED,
+    explains=0,
+)
+
+
+class Delta(Mistake):
+    """What is wrong with discrete lobes."""
+
+    MANY_DIRECTIONS = """{who} gives many directions to a lobe whose sampled_type is
+        discrete, where `eval` is lit, too: light is counted twice"""
+    MANY_WEIGHTS = "{who} gives one discrete lobe different weights"
+    DIRECTION = "the direction of a discrete lobe of {who} is not {law}"
+    PROBABILITY = "{who}: the pdf of a discrete lobe is not its probability"
+    OTHER_THAN_SAMPLED = "{who} is not weight times pdf of the null lobe of `sample`"
+
 
 # Directions that are the same differ by that at the horizon, where single precision
 # finds a cosine from a sine.
@@ -76,21 +96,15 @@ def _split(evidence: Evidence, samples: Samples, own: Flags, kind: int) -> list[
         rest = rest & ~part
     if not beyond_rounding(rest):
         return [lobe for lobe in lobes if beyond_rounding(lobe.own)]
-    statistic = f"directions differ by up to {spread:.3g} at {samples.condition}"
+    text = f"directions differ by up to {spread:.3g}"
     lit: Flags = (np.nan_to_num(samples.eval[own], nan=1.0) != 0).any(axis=1)
     if beyond_rounding(lit):
-        evidence.breach(
-            "delta",
-            "sample",
-            statistic,
-            "`sample` gives many directions to a lobe whose sampled_type is discrete, "
-            "where `eval` is lit, too: light is counted twice",
-            samples.condition,
-            size=spread,
-        )
+        guess = Delta.MANY_DIRECTIONS(SAMPLE)
+        evidence.breach(DELTA, guess, samples.condition, found=text, size=spread)
     else:
         # each sample meets a mirror of its own, which no other function knows
-        evidence.remark("delta", f"one discrete lobe draws its {statistic}")
+        text = f"one discrete lobe draws its {text} at {samples.condition}"
+        evidence.remark("delta", text)
     return []
 
 
@@ -102,15 +116,9 @@ def _check_lobe(evidence: Evidence, lobe: Lobe) -> bool:
         _check_direction(evidence, lobe)
     _check_probability(evidence, lobe)
     if np.ptp(weight, axis=0).max() > BSDF_ROUNDING * np.abs(weight).max():
-        evidence.breach(
-            "delta",
-            "sample",
-            f"weights from {weight.min():.4g} to {weight.max():.4g} at "
-            f"{samples.condition}",
-            "`sample` gives one discrete lobe different weights",
-            samples.condition,
-            kind=Kind.WEIGHTS_OF_A_LOBE,
-        )
+        text = f"weights from {weight.min():.4g} to {weight.max():.4g}"
+        guess, how = Delta.MANY_WEIGHTS(SAMPLE), {"kind": Kind.WEIGHTS_OF_A_LOBE}
+        evidence.breach(DELTA, guess, samples.condition, found=text, **how)
         return False
     return True
 
@@ -128,11 +136,10 @@ def _check_direction(evidence: Evidence, lobe: Lobe) -> None:
         law = "that of Snell's law for its eta"
     if off > DIRECTION_ROUNDING:
         evidence.breach(
-            "delta",
-            "sample",
-            f"the direction is off by {off:.3g} at {lobe.samples.condition}",
-            f"the direction of a discrete lobe of `sample` is not {law}",
+            DELTA,
+            Delta.DIRECTION(SAMPLE, law=law),
             lobe.samples.condition,
+            found=f"the direction is off by {off:.3g}",
             size=off,
             effect=MODEL,
             kind=Kind.DIRECTION_OF_A_LOBE,
@@ -153,7 +160,8 @@ def _check_probability(evidence: Evidence, lobe: Lobe) -> None:
         at_least = 1.0 if k <= 0 else special.bdtrc(k - 1, n, due)
         tail = min(1.0, 2 * min(at_most, at_least))
     text = f"a discrete lobe of pdf {p:.5g} is drawn {k / n:.5g} of the time"
-    evidence.test("delta", tail, text, lobe.samples.condition)
+    guess = Delta.PROBABILITY(SAMPLE)
+    evidence.test(DELTA, tail, text, lobe.samples.condition, guess=guess)
 
 
 def check_null(evidence: Evidence, samples: Samples) -> None:
@@ -164,15 +172,13 @@ def check_null(evidence: Evidence, samples: Samples) -> None:
     if not null.any():
         return
     sampled = samples.flux[null].mean(axis=0)
-    function = "eval_null_transmission"
-    reported = Probe(evidence.bsdf, samples.condition).of_surface(function)
+    function = Function.EVAL_NULL_TRANSMISSION
+    reported = Probe(evidence.bsdf, samples.condition).of_surface(str(function))
     if np.abs(sampled - reported).max() > BSDF_ROUNDING:
         evidence.breach(
-            "delta",
-            function,
-            f"says {reported.max():.4g}, sampled is {sampled.max():.4g} "
-            f"at {samples.condition}",
-            f"`{function}` is not weight times pdf of the null lobe of `sample`",
+            DELTA,
+            Delta.OTHER_THAN_SAMPLED(function),
             samples.condition,
+            found=f"says {reported.max():.4g}, sampled is {sampled.max():.4g}",
             kind=Kind.NULL_TRANSMISSION,
         )

@@ -9,15 +9,40 @@ import numpy as np
 
 from ...array_types import Flags
 from ...single_precision import BSDF_ROUNDING
-from ..evidence import INTERFACE, NOISE, Evidence
+from ..evidence import INTERFACE, NOISE, SAMPLED, Evidence, Question
 from ..kinds import Kind
+from ..mistakes import SAMPLE, Mistake
 from ..samples import Samples, beyond_rounding, unequal
 from .reciprocity import MAX_OFF, BothWays, is_constant
 
-# Why a type is wrong, if all else agrees.
-AGREED = "as `eval` has it: a type or a side is declared wrongly"
+DIRECTIONS = Question(
+    "directions",
+    "sampled directions are unit vectors on the side of their type",
+    integrators=SAMPLED,
+    of_volumes="sampled directions are unit vectors",
+    explains=0,
+)
 
 
+class Directions(Mistake):
+    """What is wrong with a record of `sample`."""
+
+    LENGTH = "{who}: directions are not of length 1"
+    THROUGH = "{who}: a sample of a reflecting type leaves on the other side"
+    THROUGH_AGREED = """{who}: a sample of a reflecting type leaves on the other side,
+        as `eval` has it: a type or a side is declared wrongly"""
+    BACK = "{who}: a sample of a transmitting type leaves on the side of incidence"
+    BACK_AGREED = """{who}: a sample of a transmitting type leaves on the side of
+        incidence, as `eval` has it: a type or a side is declared wrongly"""
+    NEITHER = "{who}: sampled_type names neither reflection nor transmission"
+    ETA_OF_REFLECTION = "{who}: eta is not 1 for a reflection"
+    ETA_NOT_POSITIVE = "{who}: eta is not positive"
+    ETA_OF_OTHER_SIDE = """{who}: eta of a transmitted direction is that of the other
+        side"""
+    ETA = "{who}: eta of a transmitted direction is wrong"
+
+
+@DIRECTIONS.asks("samples")
 def check_samples(evidence: Evidence, samples: Samples) -> None:
     """Check length, side, type and index of refraction of each sample."""
     given = samples.given & np.isfinite(samples.wo).all(axis=1)
@@ -33,36 +58,24 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
     one_way = reflects & ~transmits & ~samples.reflected & ~beside
     other_way = transmits & ~reflects & samples.reflected & ~beside
     agreed = _agreed(samples)
-    through = "a sample of a reflecting type leaves on the other side"
-    back = "a sample of a transmitting type leaves on the side of incidence"
-    neither = "sampled_type names neither reflection nor transmission"
     bent = reflects & ~(np.abs(samples.eta - 1) < BSDF_ROUNDING) & ~transmits
     too_long = np.abs(length - 1) > BSDF_ROUNDING
     side, eta = Kind.DIRECTIONS, Kind.ETA_OF_REFLECTION
     for wrong, mistake, effect, kind in (
-        (too_long, "directions are not of length 1", "", Kind.LENGTH),
-        (one_way & ~agreed, through, "", side),
-        (one_way & agreed, f"{through}, {AGREED}", INTERFACE, side),
-        (other_way & ~agreed, back, "", side),
-        (other_way & agreed, f"{back}, {AGREED}", INTERFACE, side),
-        (~reflects & ~transmits, neither, INTERFACE, side),
+        (too_long, Directions.LENGTH, "", Kind.LENGTH),
+        (one_way & ~agreed, Directions.THROUGH, "", side),
+        (one_way & agreed, Directions.THROUGH_AGREED, INTERFACE, side),
+        (other_way & ~agreed, Directions.BACK, "", side),
+        (other_way & agreed, Directions.BACK_AGREED, INTERFACE, side),
+        (~reflects & ~transmits, Directions.NEITHER, INTERFACE, side),
         # only Russian roulette uses it
-        (bent, "eta is not 1 for a reflection", NOISE, eta),
-        (~(samples.eta > 0), "eta is not positive", "", eta),
+        (bent, Directions.ETA_OF_REFLECTION, NOISE, eta),
+        (~(samples.eta > 0), Directions.ETA_NOT_POSITIVE, "", eta),
     ):
         wrong = wrong & given
         if beyond_rounding(wrong):
-            evidence.breach(
-                "directions",
-                "sample",
-                samples.fraction(wrong),
-                f"`sample`: {mistake}",
-                samples.condition.middle(wrong),
-                size=float(wrong.mean()),
-                off=float(wrong.mean()),
-                effect=effect,
-                kind=kind,
-            )
+            guess, how = mistake(SAMPLE), {"effect": effect, "kind": kind}
+            evidence.breach(DIRECTIONS, guess, samples, wrong, **how)
 
 
 def check_eta(evidence: Evidence, ways: BothWays) -> BothWays:
@@ -92,15 +105,14 @@ def check_eta(evidence: Evidence, ways: BothWays) -> BothWays:
     if abs(other / due - 1) > MAX_OFF or abs(reported / due - 1) < MAX_OFF:
         return ways
     inverse = abs(reported * due - 1) < MAX_OFF
-    what = "is that of the other side" if inverse else "is wrong"
+    mistake = Directions.ETA_OF_OTHER_SIDE if inverse else Directions.ETA
     evidence.breach(
-        "directions",
-        "sample",
-        f"{reported**0.5:.4g} where the transport modes of `eval` have "
-        f"{due**0.5:.4g}, for {samples.fraction(through)}",
-        f"`sample`: eta of a transmitted direction {what}",
-        samples.condition,
-        size=float(through.mean()),
+        DIRECTIONS,
+        mistake(SAMPLE),
+        samples,
+        through,
+        f"{reported**0.5:.4g} where the transport modes of `eval` have {due**0.5:.4g},",
+        off=None,
         effect=NOISE,  # only Russian roulette uses it
         kind=Kind.ETA,
     )

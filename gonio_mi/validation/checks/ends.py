@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import product
-from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -13,9 +12,10 @@ from ...array_types import Flags, Floats, Numbers
 from ...collector.directions import direction
 from ...single_precision import BSDF_ROUNDING
 from ...transport.bsdf_trial import PluginFault
-from ..conditions import Condition, LitFrom
-from ..evidence import INTERFACE, Evidence
+from ..conditions import Condition
+from ..evidence import INTERFACE, SAME, Evidence, Question
 from ..kinds import Kind
+from ..mistakes import EVAL, PDF, SAMPLE, Function, Mistake
 from ..probe import (
     Probe,
     changed,
@@ -26,6 +26,23 @@ from ..probe import (
     vectors,
 )
 from .answers import example, improper
+
+ENDS = Question(
+    "ends",
+    "finite at the ends: horizon, normal, random numbers, roughness",
+    integrators="all integrators, in single pixels",
+    of_volumes=SAME,
+    explains=3,
+)
+
+
+class Ends(Mistake):
+    """What is wrong at an end of the domain."""
+
+    RAISES = "{who} {what}, at an end of its domain"
+    LENGTH = "{who} gives a direction of another length than 1 at an end"
+    IMPROPER = "{who} gives {value} at an end of its domain"
+
 
 # Fraction of an image that single pixels are.
 PIXELS = 1e-3
@@ -38,6 +55,16 @@ NUMBERS = (0.0, 0.5, LAST)
 # Names of parameters that are a roughness, and the limits to try.
 LIMITS = dict.fromkeys(("alpha", "alpha_u", "alpha_v", "roughness"), (1e-3, 1.0))
 
+# The same of a phase function.
+LIMITS_OF_VOLUMES = {"g": (-0.999, 0.999)}
+
+
+@ENDS.asks("bsdf")
+def check(evidence: Evidence) -> None:
+    """Check the ends of the domain, and again at limits of parameters."""
+    check_bsdf(evidence)
+    check_limits(evidence, LIMITS_OF_VOLUMES if evidence.of_volumes else LIMITS)
+
 
 def check_bsdf(evidence: Evidence, where: str = "") -> None:
     """Check that all functions are finite and at least 0 at the ends of their domain.
@@ -46,18 +73,17 @@ def check_bsdf(evidence: Evidence, where: str = "") -> None:
     mirror direction and straight on.
     """
     angles = product(ANGLES, (0.0, 25.0))
-    conditions: list[Any] = [Condition(theta_i, phi_i) for theta_i, phi_i in angles]
+    conditions = [Condition(theta_i, phi_i) for theta_i, phi_i in angles]
     # a cosine of exactly 0, which no angle has
-    conditions.append(LitFrom(Condition(90.0), np.array([1.0, 0.0, 0.0])))
+    conditions.append(Condition(90.0, lit=(1.0, 0.0, 0.0)))
     for condition in conditions:
         place = f"at {condition}{where}"
         try:
             _check_condition(evidence, Probe(evidence.bsdf, condition), place)
         except PluginFault as fault:  # elsewhere it answers
-            mistake = f"`{fault.function}` {fault.what}, at an end of its domain"
-            evidence.breach(
-                "ends", fault.function, place, mistake, off=PIXELS, kind=Kind.RAISES
-            )
+            guess = Ends.RAISES(Function.named(fault.function), what=fault.what)
+            how = {"off": PIXELS, "kind": Kind.RAISES}
+            evidence.breach(ENDS, guess, found=place, **how)
 
 
 def check_limits(evidence: Evidence, limits: Mapping[str, tuple[float, ...]]) -> None:
@@ -87,17 +113,16 @@ def _check_condition(evidence: Evidence, probe: Probe, place: str) -> None:
     n = len(corners)
     weight, wo, pdf = spectral(sampled, n), spectral(bs.wo, n), numbers(bs.pdf, n)
     given = (weight != 0).any(axis=1)
-    _check_finite(evidence, "sample", "weight", weight, corners, place)
-    _check_finite(evidence, "sample", "pdf", pdf[given], corners[given], place)
+    _check_finite(evidence, SAMPLE, "weight", weight, corners, place)
+    _check_finite(evidence, SAMPLE, "pdf", pdf[given], corners[given], place)
     length = np.linalg.norm(wo, axis=1)
     wrong = given & ~(np.abs(length - 1) < BSDF_ROUNDING)
     if wrong.any():
         evidence.breach(
-            "ends",
-            "sample",
-            f"direction {_text(wo[wrong][0])} {place}, "
+            ENDS,
+            Ends.LENGTH(SAMPLE),
+            found=f"direction {_text(wo[wrong][0])} {place}, "
             f"sample {_text(corners[wrong][0])}",
-            "`sample` gives a direction of another length than 1 at an end",
             off=PIXELS,
             kind=Kind.LENGTH_AT_AN_END,
         )
@@ -115,17 +140,17 @@ def _check_condition(evidence: Evidence, probe: Probe, place: str) -> None:
         evidence.remark("ends", text)
         densities = [np.where(black & np.isnan(x), 0.0, x) for x in densities]
     for function, value in (
-        ("eval", values),
-        ("pdf", densities[0]),
-        ("eval_pdf", spectral(joint[0], n)),
-        ("eval_pdf", densities[1]),
+        (EVAL, values),
+        (PDF, densities[0]),
+        (Function.EVAL_PDF, spectral(joint[0], n)),
+        (Function.EVAL_PDF, densities[1]),
     ):
         _check_finite(evidence, function, "value", value, directions, place, black)
 
 
 def _check_finite(
     evidence: Evidence,
-    function: str,
+    function: Function,
     what: str,
     value: Numbers,
     inputs: Numbers,
@@ -143,10 +168,9 @@ def _check_finite(
         harmless = black is not None and black[wrong].all()
         harmless = harmless and np.isfinite(value[wrong]).all()
         evidence.breach(
-            "ends",
-            function,
-            f"{what} {text} {place}, {name} {_text(inputs[wrong][0])}",
-            f"`{function}` gives {text} at an end of its domain",
+            ENDS,
+            Ends.IMPROPER(function, value=text),
+            found=f"{what} {text} {place}, {name} {_text(inputs[wrong][0])}",
             size=float(wrong.sum()),
             effect=INTERFACE if harmless else "",
             off=PIXELS,

@@ -6,39 +6,58 @@ import mitsuba as mi
 import numpy as np
 
 from ...single_precision import BSDF_ROUNDING
-from ..evidence import INTERFACE, Evidence
+from ..evidence import INTERFACE, SAME, Evidence, Question
 from ..kinds import Kind
+from ..mistakes import Function, Mistake
 from ..probe import Probe, numbers, spectral, vectors
 from ..samples import Samples, beyond_rounding, ratio_of, unequal
 from .answers import lattice
+
+EVAL_PDF = Question(
+    "eval_pdf",
+    "`eval_pdf` answers as `eval` and `pdf`",
+    integrators="path, direct, volpathmis, prb",
+    of_matrices=SAME,
+)
+EVAL_PDF_SAMPLE = Question(
+    "eval_pdf_sample",
+    "`eval_pdf_sample` answers as the separate functions",
+    integrators="path",
+    # a mistake of eval_pdf explains both
+    explain=lambda evidence: next(
+        (one.guess for one in evidence.of("eval_pdf")),
+        evidence.guess("eval_pdf_sample"),
+    ),
+)
+
+
+class JointFunctions(Mistake):
+    """How a joint function contradicts the separate ones."""
+
+    OTHER_ANSWERS = "{who} answers otherwise than `{alone}`"
+    OTHER_SAMPLES = "{who} draws other samples than `sample`"
+
 
 # Differences on a lattice that may be rounding of a sharp lobe: of a value, and of the
 # largest of all.
 MAX_RELATIVE, MAX_OF_PEAK = 0.01, 1e-4
 
 
+@EVAL_PDF.asks("samples")
 def check_samples(evidence: Evidence, samples: Samples) -> None:
     """Check the joint functions against ``eval``, ``pdf`` and ``sample``."""
-    _check_joint(evidence, samples, "eval_pdf")
+    _check_joint(evidence, samples, EVAL_PDF)
     # no integrator calls that of a plugin in Python, which this version cannot reach
     effect = "" if type(evidence.bsdf) is mi.BSDF else INTERFACE
-    _check_joint(evidence, samples, "eval_pdf_sample", effect)
+    _check_joint(evidence, samples, EVAL_PDF_SAMPLE, effect)
     own, given = samples.joint, samples.given
     wrong = (np.abs(own["wo"] - samples.wo).max(axis=1) > BSDF_ROUNDING) & given
     wrong |= unequal(own["weight"], samples.weight, 0.0)
     wrong |= unequal(own["pdf"], samples.sampled_pdf, 0.0) & given
     if beyond_rounding(wrong):
-        evidence.breach(
-            "eval_pdf_sample",
-            "eval_pdf_sample",
-            samples.fraction(wrong),
-            "`eval_pdf_sample` draws other samples than `sample`",
-            samples.condition.middle(wrong),
-            size=float(wrong.mean()),
-            off=float(wrong.mean()),
-            effect=effect,
-            kind=Kind.OTHER_SAMPLES,
-        )
+        guess = JointFunctions.OTHER_SAMPLES(Function.EVAL_PDF_SAMPLE)
+        how = {"effect": effect, "kind": Kind.OTHER_SAMPLES}
+        evidence.breach(EVAL_PDF_SAMPLE, guess, samples, wrong, **how)
 
 
 def check_lattice(evidence: Evidence, probe: Probe) -> None:
@@ -56,12 +75,11 @@ def check_lattice(evidence: Evidence, probe: Probe) -> None:
         if beyond_rounding(wrong):
             light = float(4 * np.pi * off.sum(axis=1)[wrong].sum() / n)
             evidence.breach(
-                "eval_pdf",
-                "eval_pdf",
-                f"integral of the difference {light:.3g} over {wrong.mean():.3g} of "
-                f"all directions at {probe.condition}",
-                f"`eval_pdf` answers otherwise than `{alone}`",
+                EVAL_PDF,
+                JointFunctions.OTHER_ANSWERS(Function.EVAL_PDF, alone=alone),
                 probe.condition,
+                found=f"integral of the difference {light:.3g} over "
+                f"{wrong.mean():.3g} of all directions",
                 size=float(wrong.mean()),
                 off=min(light, 1.0),
                 kind=Kind.EVAL_PDF_ANYWHERE,
@@ -70,24 +88,24 @@ def check_lattice(evidence: Evidence, probe: Probe) -> None:
 
 
 def _check_joint(
-    evidence: Evidence, samples: Samples, function: str, effect: str = ""
+    evidence: Evidence, samples: Samples, question: Question, effect: str = ""
 ) -> None:
     """Check value and density of one joint function at sampled directions."""
     usable = np.isfinite(samples.wo).all(axis=1) & ~samples.delta
     usable &= np.abs(np.linalg.norm(samples.wo, axis=1) - 1) < BSDF_ROUNDING
-    value, pdf = samples.joint[function]
+    value, pdf = samples.joint[question.name]
     for alone, joint, due, slack in (
         ("eval", value, samples.eval, samples.eval_slack),
         ("pdf", pdf[:, None], samples.pdf[:, None], samples.pdf_slack[:, None]),
     ):
+        function = Function.named(question.name)
         evidence.breach_of_ratio(
-            function,
-            function,
+            question,
+            JointFunctions.OTHER_ANSWERS(function, alone=alone),
             samples,
             unequal(joint, due, slack) & usable,
             ratio_of(joint, due),
             f"its value over `{alone}`",
-            f"`{function}` answers otherwise than `{alone}`",
             effect=effect,
             about=alone,
         )

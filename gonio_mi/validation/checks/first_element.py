@@ -13,10 +13,28 @@ from ...errors import SettingError
 from ...transport.bsdf_trial import PluginFault
 from ...transport.variants import unpolarised
 from ..conditions import Condition
-from ..evidence import Evidence
-from ..mueller import Lobes, Matrices, condition_of
+from ..evidence import POLARISING, SAME, Evidence, Question
+from ..mistakes import Mistake
+from ..mueller import Lobes, Matrices
 from ..probe import Probe, floats, numbers, random_numbers, spectral, vectors
 from ..samples import beyond_rounding
+
+FIRST_ELEMENT = Question(
+    "first_element",
+    "the first element is the answer without polarisation",
+    integrators=POLARISING,
+    explains=3,
+    of_surfaces=False,
+    of_matrices=SAME,
+)
+
+
+class FirstElement(Mistake):
+    """What is wrong with first elements."""
+
+    FACTOR = """{who} reflects or transmits {factor} times what it does without
+        polarisation{mode}: a factor of one of its two branches is missing"""
+
 
 # Relative difference of two ways to compute one value, in single precision.
 ROUNDING = 2e-3
@@ -70,20 +88,11 @@ def _compare(
     factor = f"{low:.4g}"
     if not np.isclose(low, high, rtol=1e-3):
         factor = f"{low:.4g} to {high:.4g}"
-    function = matrices.function
-    condition = condition_of(matrices, tuple(np.argwhere(wrong)[0]))
-    evidence.breach(
-        "first_element",
-        function,
-        f"it is {factor} times the unpolarised answer for {100 * wrong.mean():.3g} % "
-        f"of the directions, as at {condition}{matrices.place(wrong)}",
-        f"`{function}` reflects or transmits {factor} times what it does without "
-        f"polarisation{matrices.in_mode}: a factor of one of its two branches is "
-        "missing",
-        condition,
-        size=float(wrong.mean()),
-        off=float(min(1.0, np.abs(ratio - 1).mean()) * wrong.mean()),
-    )
+    off = float(min(1.0, np.abs(ratio - 1).mean()) * wrong.mean())
+    fields = {"factor": factor, "mode": matrices.in_mode}
+    guess = FirstElement.FACTOR(matrices.function, **fields)
+    text = f"it is {factor} times the unpolarised answer"
+    evidence.breach(FIRST_ELEMENT, guess, matrices, wrong, text, off=off)
 
 
 def _ask(

@@ -10,31 +10,55 @@ import numpy as np
 
 from ...array_types import Floats
 from ..conditions import Condition
-from ..evidence import BIAS, Evidence
+from ..evidence import BIAS, INTERFACE, SAME, Evidence, Question
 from ..kinds import Kind
+from ..mistakes import EVAL, FLAGS, SAMPLE, Mistake
 from ..probe import Probe
 from ..samples import Samples, beyond_rounding, samples_of, unequal
 from . import sampling, weights
 from .answers import LOBES
 
-# Where nothing tells which of two is wrong.
-EITHER = "flags or sample"
+DECLARED = Question(
+    "flags",
+    "flags declare the observed behaviour",
+    INTERFACE,
+    "path, direct, volpath, prb: no light is sampled without a smooth lobe",
+    of_volumes=SAME,
+    explains=2,
+)
 
 
+class Declared(Mistake):
+    """What is wrong with what is declared."""
+
+    OF_A_COMPONENT = "{who} of the whole lacks what a component declares"
+    TYPE = "{who} does not declare {names}, which `sample` draws"
+    COMPONENT = """`sample` names component {last}, where `flags` declares {known}: one
+        of them is wrong{hint}"""
+    NO_COMPONENT = "`sample` names component {last}, where `flags` declares none{hint}"
+    TYPE_OF_COMPONENT = """`sample` gives component {component} a type that its `flags`
+        lack: one of them is wrong"""
+    SIDE = "light from the {side} is scattered though `flags` does not declare it"
+    DEPENDENCE = "{who} does not declare {name}, but `eval` depends on it"
+    NOT_ISOTROPIC = """{who} declares Isotropic alone, but `eval` depends on the
+        direction"""
+    NOTHING = "{who} declares no kind of scattering"
+
+
+@DECLARED.asks("bsdf")
 def check_bsdf(evidence: Evidence) -> None:
     """Check that sampled types and components are declared; some may go unused."""
+    if evidence.of_volumes:
+        _check_isotropic(evidence)
+        return
     bsdf = evidence.bsdf
     flags, n = int(bsdf.flags()), bsdf.component_count()
     union = 0
     for i in range(n):
         union |= int(bsdf.flags(i))
     if union & ~flags:
-        evidence.breach(
-            "flags",
-            "flags",
-            f"{_names(union & ~flags)} of a component only",
-            "`flags` of the whole lacks what a component declares",
-        )
+        text = f"{_names(union & ~flags)} of a component only"
+        evidence.breach(DECLARED, Declared.OF_A_COMPONENT(FLAGS), found=text)
     seen = 0
     for samples in evidence.samples:
         if samples.given.any():
@@ -58,45 +82,41 @@ def _check_declared(evidence: Evidence, samples: Samples) -> bool:
         names, smooth = _names(kinds & ~flags), int(mi.BSDFFlags.Smooth)
         # integrators sample the light only if a lobe is declared to be smooth
         unlit = kinds & smooth and not flags & smooth
-        evidence.breach(
-            "flags",
-            "flags",
-            f"{names} sampled at {samples.condition}",
-            f"`flags` does not declare {names}, which `sample` draws",
-            samples.condition,
-            effect=BIAS if unlit else "",
-        )
+        guess, text = Declared.TYPE(FLAGS, names=names), f"{names} sampled"
+        effect = BIAS if unlit else ""
+        evidence.breach(DECLARED, guess, samples.condition, None, text, effect=effect)
         return True
     if last >= n:
-        mistake = f"`sample` names component {last}, where `flags` declares " + (
-            f"{n} from 0 on: one of them is wrong" if n else "none"
-        )
+        hint = ""
         if last < n + len(LOBES):  # else it is no component that was added
-            mistake += "; m_components must be assigned, to append to it has no effect"
-        statistic = f"component {last}, of {n} that are declared"
-        evidence.breach("flags", EITHER, statistic, mistake, samples.condition)
+            hint = "; m_components must be assigned, to append to it has no effect"
+        mistake = Declared.COMPONENT if n else Declared.NO_COMPONENT
+        guess = mistake(FLAGS | SAMPLE, last=last, known=f"{n} from 0 on", hint=hint)
+        text = f"component {last}, of {n} that are declared"
+        evidence.breach(DECLARED, guess, samples.condition, statistic=text)
         return True
     for i in set(components.tolist()):
         own = int(np.bitwise_or.reduce(types[components == i])) & ~int(bsdf.flags(i))
         if own:
             evidence.breach(
-                "flags",
-                EITHER,
-                f"{_names(own)} as component {i}",
-                f"`sample` gives component {i} a type that its `flags` lack: one of "
-                "them is wrong",
+                DECLARED,
+                Declared.TYPE_OF_COMPONENT(FLAGS | SAMPLE, component=i),
                 samples.condition,
+                statistic=f"{_names(own)} as component {i}",
                 kind=Kind.TYPE_OF_A_COMPONENT,
             )
             return True
     return False
 
 
+@DECLARED.asks("bsdf")
 def check_sides(evidence: Evidence) -> None:
     """Check what flags declare on sides, rotation, differentials and texture.
 
     SpatiallyVarying gets a remark only, for none of Mitsuba's BSDFs declares it.
     """
+    if evidence.of_volumes:
+        return
     bsdf, flags, all_flags = evidence.bsdf, int(evidence.bsdf.flags()), mi.BSDFFlags
     base = Condition(50.0, 20.0)
     for side, flag in (("front", all_flags.FrontSide), ("back", all_flags.BackSide)):
@@ -112,16 +132,12 @@ def check_sides(evidence: Evidence) -> None:
         if dark and weights.check_unsampled_side(evidence, condition):
             sampling.check_unsampled_side(evidence, condition)
         if lit.any():
-            function = "sample" if samples.given.any() else "eval"
-            evidence.breach(
-                "flags",
-                function if np.isnan(samples.weight).any() else "flags",
-                f"{100 * lit.mean():.3g} % of the samples scatter at {condition}",
-                f"light from the {side} is scattered though `flags` does not "
-                "declare it",
-                condition,
-                kind=Kind.UNDECLARED_SIDE,
-            )
+            function = SAMPLE if samples.given.any() else EVAL
+            function = function if np.isnan(samples.weight).any() else FLAGS
+            text = f"{100 * lit.mean():.3g} % of the samples scatter"
+            guess, how = Declared.SIDE(function, side=side), {"found": text}
+            how["kind"] = Kind.UNDECLARED_SIDE
+            evidence.breach(DECLARED, guess, condition, **how)
     if not any(samples.given.any() for samples in evidence.samples):
         return
     samples = samples_of(bsdf, base, 2**12, (evidence.seed, 32))
@@ -137,14 +153,9 @@ def check_sides(evidence: Evidence) -> None:
     ):
         share = 0.0 if declared else _changed(bsdf, samples, change)
         if share:
-            evidence.breach(
-                "flags",
-                "flags",
-                f"`eval` changes for {share:.3g} of them",
-                f"`flags` does not declare {name}, but `eval` depends on it",
-                base,
-                kind=kind,
-            )
+            text = f"`eval` changes for {share:.3g} of them"
+            guess = Declared.DEPENDENCE(FLAGS, name=name)
+            evidence.breach(DECLARED, guess, base, statistic=text, kind=kind)
     if not flags & int(all_flags.SpatiallyVarying) and _changed(bsdf, samples, _move):
         text = "`eval` depends on uv without SpatiallyVarying, as Mitsuba's own do"
         evidence.remark("flags", text)
@@ -182,3 +193,21 @@ def _differentiate(probe: Probe, wo: Floats) -> Floats:
 def _names(flags: int) -> str:
     names = [name for name in LOBES if flags & int(getattr(mi.BSDFFlags, name))]
     return " and ".join(names) or f"flag {flags:#x}"
+
+
+def _check_isotropic(evidence: Evidence) -> None:
+    """Check that a phase function declared as isotropic has one value everywhere."""
+    phase, flags = evidence.bsdf.phase_function, mi.PhaseFunctionFlags
+    declared = int(phase.flags())
+    samples = evidence.samples[1]
+    values = samples.eval[samples.usable]
+    others = int(flags.Anisotropic) | int(flags.Microflake)
+    if not len(values):
+        return
+    varies = np.ptp(values, axis=0).max() > 1e-3 * values.max()
+    if declared & int(flags.Isotropic) and not declared & others and varies:
+        text = f"`eval` is {values.min():.4g} to {values.max():.4g}"
+        text = f"{text} at {samples.condition}"
+        evidence.breach(DECLARED, Declared.NOT_ISOTROPIC(FLAGS), found=text)
+    if not declared:
+        evidence.breach(DECLARED, Declared.NOTHING(FLAGS), found="flags are 0")

@@ -11,19 +11,36 @@ import numpy as np
 from ...array_types import Flags, Floats, Numbers
 from ...collector.stokes import plane_axis, reframed, turn
 from ..conditions import TURN
-from ..evidence import Evidence
+from ..evidence import POLARISING, SAME, Evidence, Question
 from ..kinds import MatrixKind
-from ..mueller import (
-    IDENTITY,
-    Matrices,
-    condition_of,
-    is_identity,
-    off,
-    per_light,
-    readings,
-)
+from ..mistakes import EVAL, Mistake
+from ..mueller import Matrices, Reading, is_identity, off, per_light, readings
 from ..samples import beyond_rounding
 from .mueller_symmetry import ROUNDING
+
+FRAMES = Question(
+    "frames",
+    "matrices turn with the directions, without jumps",
+    integrators=POLARISING,
+    explains=0,
+    of_surfaces=False,
+    of_matrices=SAME,
+)
+
+
+class Frames(Mistake):
+    """What is wrong with frames."""
+
+    OF_AZIMUTH = """{who} depends on the azimuth of an isotropic surface: its frames are
+        turned wrongly"""
+    IN_THE_WORLD = "{who} is another matrix where the surface is turned in the world"
+    BASES_OF_WORLD = """{who} takes Stokes bases of directions in the world, where those
+        of local directions are due"""
+    JUMP = """{who} jumps{where}: its frames are turned by an angle whose sign or axis
+        changes there, as that to an axis which is not perpendicular to the beam"""
+    JUMP_OF_PLANE = """{who} jumps{where}: its elements depend on a plane of incidence,
+        of which there is none, as where r_p or t_p has the wrong sign"""
+
 
 # Relative change of the first element up to which it does not depend on the azimuth.
 SAME_LIGHT = 0.01
@@ -93,14 +110,7 @@ def check_turned(evidence: Evidence, turned: Turned) -> None:
     wrong = misfit > 2 * turned.slack.max(axis=1)
     if not wrong.any():
         return
-    function = turned.matrices.function
     worst = int(np.argmax(np.where(wrong, misfit, 0)))
-    condition = condition_of(turned.matrices, (worst, 0))
-    share = float(wrong.mean())
-    changed = (
-        f"elements over the first change by up to {misfit[worst]:.3g} where both "
-        f"directions turn about the normal, at {condition}"
-    )
     mistake = _explained(turned.those(wrong), misfit[wrong])
     declared = int(evidence.bsdf.flags()) & int(mi.BSDFFlags.Anisotropic)
     light = turned.matrices.light
@@ -110,25 +120,22 @@ def check_turned(evidence: Evidence, turned: Turned) -> None:
             "frames", "anisotropic, so that only jumps of its frames are seen"
         )
         return
-    mistake = mistake or (
-        "depends on the azimuth of an isotropic surface: its frames are turned wrongly"
-    )
     evidence.breach(
-        "frames",
-        function,
-        changed,
-        f"`{function}` {mistake}",
-        condition,
+        FRAMES,
+        (mistake or Frames.OF_AZIMUTH)(turned.matrices.function, mode=""),
+        turned.matrices.condition((worst, 0)),
+        found=f"elements over the first change by up to {misfit[worst]:.3g} where both "
+        "directions turn about the normal,",
         size=float(misfit[worst]),
-        off=share,
+        off=float(wrong.mean()),
         about=str(turned.normal.round(9).tolist()),
     )
 
 
-def _explained(turned: Turned, misfit: Floats) -> str | None:
+def _explained(turned: Turned, misfit: Floats) -> Reading | None:
     """Mistake that explains why the matrices depend on the angle, or None."""
     if is_identity(per_light(turned.matrices.raw)):
-        return IDENTITY
+        return Reading.IDENTITY
     found = {
         mistake: _handedness(turned, matrices)
         for mistake, matrices in readings(turned.matrices, turned.normal, turned.nested)
@@ -165,23 +172,18 @@ def check_world(
     wrong = same_light & (size > ROUNDING + slack)
     if not beyond_rounding(wrong):
         return
-    function, worst = here.function, int(np.argmax(np.where(wrong, size, 0)))
-    condition = condition_of(here, (worst,))
+    worst = int(np.argmax(np.where(wrong, size, 0)))
     due = per_light(here.in_plane()[wrong])
     world = reframed(there.raw, *there.turns(axes=TURN.T))[wrong]
-    mistake = "is another matrix where the surface is turned in the world"
+    mistake = Frames.IN_THE_WORLD
     if off(per_light(world), due).mean() < EXPLAINED * size[wrong].mean():
-        mistake = (
-            "takes Stokes bases of directions in the world, where those of local "
-            "directions are due"
-        )
+        mistake = Frames.BASES_OF_WORLD
     evidence.breach(
-        "frames",
-        function,
-        f"elements over the first change by up to {size[worst]:.3g} where the surface "
-        f"is turned in the world, at {condition}",
-        f"`{function}` {mistake}",
-        condition,
+        FRAMES,
+        mistake(here.function),
+        here.condition((worst,)),
+        found=f"elements over the first change by up to {size[worst]:.3g} where the "
+        "surface is turned in the world,",
         size=float(size[worst]),
         off=float(wrong.mean()),
         kind=MatrixKind.WORLD,
@@ -226,17 +228,9 @@ def check_jumps(
     size = change[row, column]
     worst = int(np.argmax(size))
     at = (row[worst], column[worst])
-    function, condition = matrices.function, condition_of(matrices, at)
-    where, straight = _border(matrices, at), _straight(matrices, at)
-    cause = (
-        "its frames are turned by an angle whose sign or axis changes there, as that "
-        "to an axis which is not perpendicular to the beam"
-    )
-    if straight:
-        cause = (
-            "its elements depend on a plane of incidence, of which there is none, as "
-            "where r_p or t_p has the wrong sign"
-        )
+    where, condition = _border(matrices, at), matrices.condition(at)
+    mistake = Frames.JUMP_OF_PLANE if _straight(matrices, at) else Frames.JUMP
+    place = where and f" {where}"
     both = (row[worst], slice(at[1], at[1] + 2))
     # single precision is a number of nine digits
     wi, wo = (
@@ -244,12 +238,11 @@ def check_jumps(
         for directions in (matrices.wi, matrices.wo)
     )
     evidence.breach(
-        "frames",
-        function,
-        f"elements over the first jump by {size[worst]:.3g} {where or 'at'} "
-        f"({condition}), on {len(size)} of {n_paths} paths over the sphere",
-        f"`{function}` jumps{' ' + where if where else ''}: {cause}",
+        FRAMES,
+        mistake(matrices.function, where=place),
         condition,
+        statistic=f"elements over the first jump by {size[worst]:.3g} {where or 'at'} "
+        f"({condition}), on {len(size)} of {n_paths} paths over the sphere",
         size=float(size[worst]) / 2,
         off=len(size) / n_paths,
         kind=MatrixKind.JUMP,
@@ -293,5 +286,5 @@ def _straight(matrices: Matrices, at: tuple[int, int]) -> str:
     wi, wo = matrices.wi[at], matrices.wo[at]
     if np.linalg.norm(wo - wi) < 2 * CLOSE:
         return "wo = wi"
-    on = matrices.function == "eval" and np.linalg.norm(wo + wi) < 2 * CLOSE
+    on = matrices.function is EVAL and np.linalg.norm(wo + wi) < 2 * CLOSE
     return "wo = -wi" if on else ""

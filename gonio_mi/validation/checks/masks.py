@@ -6,12 +6,36 @@ import mitsuba as mi
 import numpy as np
 
 from ..conditions import Condition
-from ..evidence import Evidence
+from ..evidence import INTERFACE, Evidence, Question
 from ..kinds import Kind
+from ..mistakes import EVAL, PDF, SAMPLE, Function, Mistake
 from ..probe import Probe, numbers, spectral, vectors
 from ..samples import samples_of, unequal
 
+MASKS = Question(
+    "masks",
+    "inactive rays carry no light, active ones the same as without a mask",
+    INTERFACE,
+    of_volumes="active rays get the same as without a mask",
+    explains=2,
+)
 
+
+class Masks(Mistake):
+    """What is wrong with masks."""
+
+    IGNORED = "{who} ignores `active`: inactive rays get a value"
+    OF_OTHERS = "{who} answers active rays differently when others are not"
+
+
+# Of phase functions that answer inactive rays.
+OF_VOLUMES = (
+    "remark, no effect on images: inactive rays get a value, as of all of Mitsuba's "
+    "own phase functions"
+)
+
+
+@MASKS.asks("bsdf")
 def check_bsdf(evidence: Evidence) -> None:
     """Check answers where every other ray is inactive.
 
@@ -26,11 +50,11 @@ def check_bsdf(evidence: Evidence) -> None:
     joint = probe.eval_pdf(wo, mask)
     _, weight = probe.sample(*samples.random, mask)
     answers = [
-        ("sample", weight, samples.weight),
-        ("eval", probe.eval(wo, mask), samples.eval),
-        ("pdf", probe.pdf(wo, mask), samples.pdf),
-        ("eval_pdf", joint[0], samples.joint["eval_pdf"][0]),
-        ("eval_pdf", joint[1], samples.joint["eval_pdf"][1]),
+        (SAMPLE, weight, samples.weight),
+        (EVAL, probe.eval(wo, mask), samples.eval),
+        (PDF, probe.pdf(wo, mask), samples.pdf),
+        (Function.EVAL_PDF, joint[0], samples.joint["eval_pdf"][0]),
+        (Function.EVAL_PDF, joint[1], samples.joint["eval_pdf"][1]),
     ]
     if numbers(answers[2][1], n)[~active].any():
         evidence.remark("masks", "`pdf` gives inactive rays a value, which nobody uses")
@@ -41,18 +65,13 @@ def check_bsdf(evidence: Evidence) -> None:
         changed = unequal(masked.astype(float), plain, 0.0) & usable
         light = np.zeros(n) if flat else np.abs(masked).sum(axis=1)
         awake = ~active & (light != 0)
-        active_too = "answers active rays differently when others are not"
-        for wrong, what, kind in (
-            (awake, "ignores `active`: inactive rays get a value", Kind.MASKS),
-            (changed, active_too, Kind.MASKS_OF_OTHERS),
+        for wrong, mistake, kind in (
+            (awake, Masks.IGNORED, Kind.MASKS),
+            (changed, Masks.OF_OTHERS, Kind.MASKS_OF_OTHERS),
         ):
-            if wrong.any():
-                evidence.breach(
-                    "masks",
-                    function,
-                    f"{wrong.sum()} of {n // 2} rays at {condition}",
-                    f"`{function}` {what}",
-                    condition,
-                    kind=kind,
-                    size=float(wrong.mean()),
-                )
+            if wrong.any() and evidence.of_volumes and mistake is Masks.IGNORED:
+                evidence.remarks["masks"] = [OF_VOLUMES]  # of `pdf` too
+            elif wrong.any():
+                how = {"size": float(wrong.mean()), "kind": kind}
+                how["found"] = f"{wrong.sum()} of {n // 2} rays"
+                evidence.breach(MASKS, mistake(function), condition, **how)

@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+import mitsuba as mi
 import numpy as np
 from scipy import special
 
 from ...array_types import Flags, Floats, Numbers
 from ..evidence import Evidence
-from ..mueller import Lobes, condition_of
+from ..mistakes import EVAL, SAMPLE, Mistake
+from ..mueller import Lobes
+from .energy import ENERGY
+
+
+class Energy(Mistake):
+    """What is wrong with the flux that leaves."""
+
+    GAINS = "{who} gains light: {found}"
+
 
 # Flux that rounding may add to all that arrives.
 ROUNDING = 1e-4
@@ -24,6 +34,8 @@ def check_gain(evidence: Evidence, lobes: Lobes) -> None:
     know the share of a discrete lobe.
     """
     weights = lobes.weights
+    smooth_too = int(evidence.bsdf.flags()) & int(mi.BSDFFlags.Smooth)
+    function = EVAL if smooth_too else SAMPLE
     rows = weights.in_plane()[..., 0, :]
     smooth = np.where(lobes.smooth[..., None, None], rows, 0.0)
     half = rows.shape[1] // 2
@@ -34,12 +46,12 @@ def check_gain(evidence: Evidence, lobes: Lobes) -> None:
             for c in range(rows.shape[2])
         ]
         mean, std_err, state = max(gains, key=lambda one: one[0])
-        condition = condition_of(weights, (i, 0))
+        condition = weights.condition((i, 0))
         z = (mean - 1 - ROUNDING) / max(std_err, ROUNDING / 4)
         text = f"{mean:.4g} of the flux of {_named(state)} leaves"
         p_value = float(special.stdtr(half - 1, -z))
-        gain = max(0.0, mean - 1)
-        evidence.test("energy", p_value, text, condition, gain)
+        how = {"off": max(0.0, mean - 1), "guess": Energy.GAINS(function, found=text)}
+        evidence.test(ENERGY, p_value, text, condition, **how)
 
 
 def _discrete(rows: Floats, pdf: Floats, delta: Flags) -> Floats:

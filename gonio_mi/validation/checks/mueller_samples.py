@@ -10,10 +10,10 @@ from ...array_types import Flags, Floats
 from ...collector.stokes import UPRIGHT
 from ..evidence import Evidence
 from ..kinds import Kind, MatrixKind
+from ..mistakes import EVAL, PDF, SAMPLE, Function, Guess, Mistake
 from ..mueller import (
     Lobes,
     Matrices,
-    condition_of,
     is_depolarised,
     off,
     other_mode,
@@ -21,6 +21,25 @@ from ..mueller import (
     readings,
 )
 from ..samples import beyond_rounding
+from .answers import ANSWERS
+from .eval_pdf import EVAL_PDF
+from .sampled_pdf import SAMPLED_PDF
+from .sampled_weight import SAMPLED_WEIGHT
+
+
+class Matrix(Mistake):
+    """What is wrong with matrices, in one `mode` or in both."""
+
+    NOT_FINITE = "{who} returns matrices with elements that are not finite"
+    NEGATIVE = "{who} returns matrices with a negative first element"
+    DENSITIES = "{who}: their densities differ{mode}"
+    FIRST_ELEMENT = """{who}: weight times pdf is another first element than that of
+        `eval`; the unpolarised variant tells more{mode}"""
+    DEPOLARISES = "{who} depolarises where {other} does not{mode}"
+    ELEMENTS = """{who}: weight times pdf differs from `eval` in {n} elements ({names})
+        but the first{mode}"""
+    OTHER_VALUES = "{who} gives other {what} than `eval` and `pdf`{mode}"
+
 
 # Properties that are judged here, of each transport mode.
 AGREEMENTS = ("sampled_pdf", "sampled_weight", "eval_pdf")
@@ -34,25 +53,14 @@ EXPLAINED = 0.05
 
 def check_finite(evidence: Evidence, matrices: Matrices) -> None:
     """Check that all elements are finite and that the first is not negative."""
-    function, raw = matrices.function, matrices.raw
-    bad = ~np.isfinite(raw).all(axis=(-1, -2, -3))
+    bad = ~np.isfinite(matrices.raw).all(axis=(-1, -2, -3))
     negative = (np.nan_to_num(matrices.light) < 0).any(axis=-1)
-    for wrong, what in (
-        (bad, "elements that are not finite"),
-        (negative, "a negative first element"),
+    for wrong, mistake, what in (
+        (bad, Matrix.NOT_FINITE, "elements that are not finite"),
+        (negative, Matrix.NEGATIVE, "a negative first element"),
     ):
         if (wrong := np.asarray(wrong)).any():
-            condition = condition_of(matrices, tuple(np.argwhere(wrong)[0]))
-            evidence.breach(
-                "answers",
-                function,
-                f"{what} for {100 * wrong.mean():.3g} % of the matrices, as at "
-                f"{condition}{matrices.place(wrong)}",
-                f"`{function}` returns matrices with {what}",
-                condition,
-                size=float(wrong.mean()),
-                off=float(wrong.mean()),
-            )
+            evidence.breach(ANSWERS, mistake(matrices.function), matrices, wrong, what)
 
 
 def check_weights(
@@ -67,17 +75,9 @@ def check_weights(
     if beyond_rounding(wrong):
         ratio = density[wrong] / np.maximum(pdf[wrong], 1e-30)
         low, high = np.quantile(ratio, [0.05, 0.95])
-        condition = condition_of(lobes.weights, tuple(np.argwhere(wrong)[0]))
-        statistic = (
-            f"the pdf of `sample` is {low:.4g} to {high:.4g} times that of `pdf` for "
-            f"{100 * wrong.mean():.3g} % of the samples, as at {condition}"
-            f"{values.place(wrong)}"
-        )
-        mistake = f"`sample` or `pdf`: their densities differ{values.in_mode}"
-        evidence.breach(
-            "sampled_pdf", "sample or pdf", statistic, mistake, condition,
-            size=float(wrong.mean()),
-        )  # fmt: skip
+        text = f"the pdf of `sample` is {low:.4g} to {high:.4g} times that of `pdf`"
+        guess = Matrix.DENSITIES(SAMPLE | PDF, mode=values.in_mode)
+        evidence.breach(SAMPLED_PDF, guess, lobes.weights, wrong, text, off=None)
     flux = lobes.flux
     light = np.maximum(values.light, flux.light)[..., None, None]
     difference = np.where(light > 0, flux.raw - values.raw, 0)
@@ -86,63 +86,51 @@ def check_weights(
     wrong = usable & (size > ROUNDING + slack)
     if not beyond_rounding(wrong):
         return
-    suspects: tuple[str, ...] = ("sample", "eval")
+    suspects: tuple[Function, ...] = (SAMPLE, EVAL)
     if values.mode == "radiance":
         # importance mode tells which answers of `eval` are due
-        suspects = ("eval",) if evidence.of("adjoint") else ("sample",)
-    function, mistake = _difference_guess(
-        flux.take(wrong), values.take(wrong), suspects
-    )
+        suspects = (EVAL,) if evidence.of("adjoint") else (SAMPLE,)
     worst = tuple(np.argwhere(wrong)[np.argmax(size[wrong])])
-    condition = condition_of(flux, worst)
     place = np.unravel_index(np.argmax(difference[worst].max(axis=0)), (4, 4))
     evidence.breach(
-        "sampled_weight",
-        function,
+        SAMPLED_WEIGHT,
+        _difference_guess(flux.take(wrong), values.take(wrong), suspects),
+        flux.by(size),
+        wrong,
         f"weight times pdf is off `eval` by up to {size[worst]:.3g} of the first "
-        f"element, in element {place[0]}{place[1]} at {condition}, for "
-        f"{100 * wrong.mean():.3g} % of the samples{values.place(wrong)}",
-        f"{mistake}{values.in_mode}",
-        condition,
-        size=float(wrong.mean()),
-        off=float(wrong.mean()),
+        f"element, in element {place[0]}{place[1]},",
     )
 
 
 def _difference_guess(
-    flux: Matrices, values: Matrices, suspects: Sequence[str]
-) -> tuple[str, str]:
+    flux: Matrices, values: Matrices, suspects: Sequence[Function]
+) -> Guess:
     """Guilty function and mistake, where weight times pdf is not `eval`."""
+    in_mode = {"mode": values.in_mode}
     m_flux, m_eval = per_light(flux.raw), per_light(values.raw)
     light = np.maximum(flux.light, values.light)
     if (np.abs(flux.light - values.light) > ROUNDING * light).mean() > 0.5:
-        return "eval or sample", (
-            "`eval` or `sample`: weight times pdf is another first element than that "
-            "of `eval`; the unpolarised variant tells more"
-        )
+        return Matrix.FIRST_ELEMENT(EVAL | SAMPLE, **in_mode)
     if is_depolarised(m_eval) and not is_depolarised(m_flux):
-        return "eval", "`eval` depolarises where `sample` does not"
+        return Matrix.DEPOLARISES(EVAL, other="`sample`", **in_mode)
     if is_depolarised(m_flux) and not is_depolarised(m_eval):
-        return "sample", "`sample` depolarises where `eval` does not"
+        return Matrix.DEPOLARISES(SAMPLE, other="`eval`", **in_mode)
     misfit = off(m_flux, m_eval)
     for function in suspects:
-        matrices, right = (flux, values) if function == "sample" else (values, flux)
+        matrices, right = (flux, values) if function is SAMPLE else (values, flux)
         due = per_light(right.in_plane())
         for mistake, read in (*readings(matrices, UPRIGHT), *other_mode(matrices)):
             left = off(per_light(read), due)
             if np.mean(left) < EXPLAINED * np.mean(misfit):
-                return function, f"`{function}` {mistake}"
+                return mistake(function, **in_mode)
     names = [
         f"{i}{j}"
         for i, j in np.ndindex(4, 4)
         if np.abs(m_flux - m_eval)[..., i, j].max() > ROUNDING
     ]
-    function = " or ".join(sorted(suspects))
-    return function, (
-        f"{function.replace('eval', '`eval`').replace('sample', '`sample`')}: weight "
-        f"times pdf differs from `eval` in {len(names)} elements "
-        f"({', '.join(names[:6])}{', ...' if len(names) > 6 else ''}) but the first"
-    )
+    those = ", ".join([*names[:6], *(["..."] if len(names) > 6 else [])])
+    both = suspects[0] | suspects[-1]
+    return Matrix.ELEMENTS(both, n=len(names), names=those, **in_mode)
 
 
 def check_eval_pdf(
@@ -162,15 +150,7 @@ def check_eval_pdf(
         ("densities", asked & (density > ROUNDING), Kind.EVAL_PDF),
     ):
         if beyond_rounding(wrong):
-            condition = condition_of(values, tuple(np.argwhere(wrong)[0]))
-            evidence.breach(
-                "eval_pdf",
-                "eval_pdf",
-                f"its {what} differ for {100 * wrong.mean():.3g} % of the pairs, as at "
-                f"{condition}{values.place(wrong)}",
-                f"`eval_pdf` gives other {what} than `eval` and `pdf`{values.in_mode}",
-                condition,
-                size=float(wrong.mean()),
-                kind=kind,
-                about="pdf",
-            )
+            fields = {"what": what, "mode": values.in_mode}
+            guess = Matrix.OTHER_VALUES(Function.EVAL_PDF, **fields)
+            how = {"off": None, "kind": kind, "about": "pdf"}
+            evidence.breach(EVAL_PDF, guess, values, wrong, f"its {what} differ", **how)

@@ -4,11 +4,28 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...array_types import Flags, Floats
+from ...array_types import Floats
 from ...collector.stokes import EXCHANGE
-from ..evidence import Evidence
-from ..mueller import Matrices, condition_of, is_depolarised, off, per_light
+from ..evidence import Evidence, Question
+from ..mistakes import Mistake
+from ..mueller import Matrices, is_depolarised, off, per_light
 from ..samples import beyond_rounding
+from .adjoint import ADJOINT
+from .reciprocity import RECIPROCITY
+
+
+class Symmetry(Mistake):
+    """What is wrong with matrices the other way, or in radiance mode."""
+
+    NOT_RECIPROCAL = """{who} is not reciprocal in its polarisation: M(wi, wo) is not Q
+        M(wo, wi)^T Q"""
+    OTHER_WAY = """{who} does not answer for light that goes from wo to wi in radiance
+        mode (ctx.mode)"""
+    DEPOLARISES = """{who} depolarises, other than in importance mode, in radiance mode
+        (ctx.mode)"""
+    POLARISES = """{who} polarises, other than in importance mode, in radiance mode
+        (ctx.mode)"""
+
 
 # Difference of elements over the first one that is no rounding, beside its slack.
 ROUNDING = 2e-3
@@ -21,60 +38,39 @@ def check_reciprocity(
 
     Matrices are divided by their first elements, which the unpolarised variant judges.
     """
-    m, reverse = per_light(there.in_plane()), per_light(back.in_plane())
+    reverse = per_light(back.in_plane())
     due = EXCHANGE @ np.swapaxes(reverse, -1, -2) @ EXCHANGE
-    wrong, size = _wrong(there, back, off(m, due), slack)
-    if beyond_rounding(wrong):
-        mistake = (
-            "is not reciprocal in its polarisation: M(wi, wo) is not Q M(wo, wi)^T Q"
-        )
-        _breach(evidence, "reciprocity", there, wrong, size, mistake)
+    _compare(evidence, RECIPROCITY, there, back, due, slack)
 
 
 def check_adjoint(
     evidence: Evidence, radiance: Matrices, back: Matrices, slack: Floats
 ) -> None:
     """Check that radiance mode answers from wo to wi as importance mode does."""
-    m, due = per_light(radiance.in_plane()), per_light(back.in_plane())
-    wrong, size = _wrong(radiance, back, off(m, due), slack)
+    _compare(evidence, ADJOINT, radiance, back, per_light(back.in_plane()), slack)
+
+
+def _compare(
+    evidence: Evidence,
+    question: Question,
+    one: Matrices,
+    back: Matrices,
+    due: Floats,
+    slack: Floats,
+) -> None:
+    """Check matrices over their first element where there is light both ways."""
+    m = per_light(one.in_plane())
+    both = one.lit & back.lit & one.finite & back.finite
+    size = np.where(both, np.nan_to_num(off(m, due)), 0.0)
+    wrong = size > ROUNDING + slack
     if not beyond_rounding(wrong):
         return
-    mistake = "does not answer for light that goes from wo to wi"
-    if is_depolarised(m[wrong]):
-        mistake = "depolarises, other than in importance mode,"
-    elif is_depolarised(due[wrong]):
-        mistake = "polarises, other than in importance mode,"
-    mistake = f"{mistake} in radiance mode (ctx.mode)"
-    _breach(evidence, "adjoint", radiance, wrong, size, mistake)
-
-
-def _wrong(
-    one: Matrices, other: Matrices, size: Floats, slack: Floats
-) -> tuple[Flags, Floats]:
-    """Mask of pairs with light both ways that differ, and by how much they do."""
-    both = one.lit & other.lit & one.finite & other.finite
-    size = np.where(both, np.nan_to_num(size), 0.0)
-    return size > ROUNDING + slack, size
-
-
-def _breach(
-    evidence: Evidence,
-    name: str,
-    matrices: Matrices,
-    wrong: Flags,
-    size: Floats,
-    mistake: str,
-) -> None:
-    """Add a breach for pairs that are `wrong` by `size`, which names the worst."""
-    worst = int(np.argmax(np.where(wrong, size, 0)))
-    condition = condition_of(matrices, (worst,))
-    evidence.breach(
-        name,
-        matrices.function,
-        f"elements over the first are off by up to {size[worst]:.3g} at {condition}, "
-        f"for {100 * wrong.mean():.3g} % of the directions{matrices.place(wrong)}",
-        f"`{matrices.function}` {mistake}",
-        condition,
-        size=float(wrong.mean()),
-        off=float(wrong.mean()),
-    )
+    mistake = Symmetry.NOT_RECIPROCAL
+    if question is ADJOINT:
+        mistake = Symmetry.OTHER_WAY
+        if is_depolarised(m[wrong]):
+            mistake = Symmetry.DEPOLARISES
+        elif is_depolarised(due[wrong]):
+            mistake = Symmetry.POLARISES
+    text = f"elements over the first are off by up to {size[wrong].max():.3g}"
+    evidence.breach(question, mistake(one.function), one.by(size), wrong, text)

@@ -12,8 +12,9 @@ import numpy as np
 from ...array_types import Floats
 from ...transport.bsdf_trial import PluginFault
 from ..conditions import Condition, Effort, Sweep
-from ..evidence import BIAS, INTERFACE, MAX_P, Evidence
+from ..evidence import BIAS, BREAKS, INTERFACE, MAX_P, SAME, Evidence, Question
 from ..kinds import Kind
+from ..mistakes import EVAL, PDF, SAMPLE, Function, Mistake
 from ..probe import (
     Probe,
     as_plugin_fault,
@@ -29,6 +30,26 @@ from ..probe import (
 from ..samples import Samples, beyond_rounding, unequal
 from . import answers
 from .consistency import check_sweep
+
+PARAMETERS = Question(
+    "parameters",
+    "`traverse` answers; gradients of `eval` are its changes",
+    BREAKS,
+    "prb and all that change or differentiate parameters",
+    of_volumes=SAME,
+    explains=3,
+)
+
+
+class Parameters(Mistake):
+    """What is wrong with parameters."""
+
+    RAISES = "`{function}` {what}"
+    STALE = "{who} does not follow a change of {name}"
+    STALE_ALONE = "{those} {does} not follow a change of {name} alone"
+    UPDATE = "{who} changes {those} where no parameter has changed"
+    GRADIENT = "gradients of {who} by {name} are not its changes"
+
 
 # Step of a sequence that is spread evenly: the golden section.
 GOLDEN = (5**0.5 - 1) / 2
@@ -73,8 +94,14 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
     except PluginFault as fault:
         # images need none of it
         effect = INTERFACE if fault.function == "traverse" else ""
-        function, text, kind = fault.function, str(fault), Kind.RAISES
-        evidence.breach("parameters", function, text, text, effect=effect, kind=kind)
+        _breach_of_fault(evidence, fault, effect=effect)
+
+
+def _breach_of_fault(evidence: Evidence, fault: PluginFault, **how: Any) -> None:
+    """Add a breach of what a plugin raises."""
+    fields = {"function": fault.function, "what": fault.what}
+    guess = Parameters.RAISES(Function.named(fault.function), **fields)
+    evidence.breach(PARAMETERS, guess, found=str(fault), kind=Kind.RAISES, **how)
 
 
 def check_changes(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> None:
@@ -92,7 +119,7 @@ def check_changes(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> Non
     after = _after(evidence, plan, sides, others)
     if after is not None and not _biases(after):
         text = "directions after a change of all parameters"
-        evidence.test("parameters", _least_p(after), text)
+        evidence.test(PARAMETERS, _least_p(after), text)
         return
     # together, they may be out of their range
     for name in values:
@@ -100,18 +127,16 @@ def check_changes(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> Non
         if found is None:
             continue
         function = _stale(evidence.sweeps[0], found)
-        who = function.replace(" or ", "` or `")
-        mistake = f"`{who}` does not follow a change of {name}"
+        guess = Parameters.STALE(function, name=name)
         breaches = [b.statistic for b in found.breaches if b.effect == BIAS]
         if breaches:
             text = f"after a change of {name}: {breaches[0]}"
-            evidence.breach("parameters", function, text, mistake, size=2.0, about=name)
+            evidence.breach(PARAMETERS, guess, found=text, size=2.0, about=name)
         else:
             text = min(found.tests, key=lambda test: test.p).statistic
             text, p = f"after a change of {name}: {text}", len(values) * _least_p(found)
-            kind = Kind.DENSITY_AFTER_A_CHANGE
-            evidence.test("parameters", min(1.0, p), text, kind=kind, about=name)
-            evidence.suspects["parameters"] = function, mistake
+            how = {"kind": Kind.DENSITY_AFTER_A_CHANGE, "about": name, "guess": guess}
+            evidence.test(PARAMETERS, min(1.0, p), text, **how)
         return
 
 
@@ -147,8 +172,7 @@ def _check_updates(
         except PluginFault as fault:
             if name:
                 continue  # a value that is refused
-            text, how = str(fault), {"kind": Kind.RAISES}
-            evidence.breach("parameters", fault.function, text, text, **how)
+            _breach_of_fault(evidence, fault)
             return
         own = [
             function
@@ -156,15 +180,15 @@ def _check_updates(
             if beyond_rounding(unequal(answer, after[function], 0.0))
         ]
         if own:
-            who = "` and `".join(own)
-            function, how = "parameters_changed", {"kind": Kind.UPDATE, "about": own[0]}
-            mistake = f"`{function}` changes `{who}` where no parameter has changed"
+            those = " and ".join(f"`{one}`" for one in own)
+            guess = Parameters.UPDATE(Function.PARAMETERS_CHANGED, those=those)
+            how = {"kind": Kind.UPDATE, "about": own[0]}
             if name:
-                function, how = own[0], {"about": name}
-                does = "does" if len(own) == 1 else "do"
-                mistake = f"`{who}` {does} not follow a change of {name} alone"
+                fields = {"does": "does" if len(own) == 1 else "do", "name": name}
+                function, how = Function.named(own[0]), {"about": name}
+                guess = Parameters.STALE_ALONE(function, those=those, **fields)
             text = f"another answer after an update of all parameters, at {sweep}"
-            evidence.breach("parameters", function, text, mistake, size=3.0, **how)
+            evidence.breach(PARAMETERS, guess, found=text, size=3.0, **how)
             return
 
 
@@ -215,7 +239,7 @@ def _after(
     evidence: Evidence, plan: Effort, sides: Sequence[str], values: dict[str, Any]
 ) -> Evidence | None:
     """Evidence after a change of parameters; None if the plugin refuses a value."""
-    found = Evidence(evidence.bsdf, evidence.seed, evidence.properties)
+    found = Evidence(evidence.bsdf, evidence.seed, evidence.questions)
     try:
         with changed(evidence.bsdf, values):
             check_sweep(found, plan, sides)
@@ -258,7 +282,7 @@ def _biases(found: Evidence) -> bool:
     return _least_p(found) < MAX_P or any(b.effect == BIAS for b in found.breaches)
 
 
-def _stale(before: Samples, found: Evidence) -> str:
+def _stale(before: Samples, found: Evidence) -> Function:
     """Function whose answers stayed the same where those of others changed."""
     after = found.sweeps[0]
     still = (before.wo == after.wo).all(axis=1) & before.usable & after.usable
@@ -270,13 +294,13 @@ def _stale(before: Samples, found: Evidence) -> str:
     if "sampled_weight" in names and "sampled_pdf" not in names:
         stale_eval, stale_weight = same(lambda x: x.eval), same(lambda x: x.flux)
         if stale_eval != stale_weight:
-            return "eval" if stale_eval else "sample"
-        return "eval or sample"
+            return EVAL if stale_eval else SAMPLE
+        return EVAL | SAMPLE
     if "sampled_pdf" in names or not names:
         if same(lambda one: one.pdf) and not same(lambda one: one.sampled_pdf):
-            return "pdf"
-        return "sample" if still[before.usable].all() else "sample or pdf"
-    return next(b.function for b in found.breaches if b.effect == BIAS)
+            return PDF
+        return SAMPLE if still[before.usable].all() else SAMPLE | PDF
+    return next(b.guess.functions for b in found.breaches if b.effect == BIAS)
 
 
 def _differentiable(params: Any, values: dict[str, Any]) -> Iterator[str]:
@@ -337,12 +361,11 @@ def _check_gradient(
         i = int(wrong.sum(axis=0).argmax())
         own, due = (float(np.median(x[wrong[:, i], i])) for x in (gradient, fine))
         evidence.breach(
-            "parameters",
-            "eval",
-            f"by {name}: for {share:.3g} of the directions at {condition}, with "
-            f"the median {own:.4g} where differences have {due:.4g}",
-            f"gradients of `eval` by {name} are not its changes",
+            PARAMETERS,
+            Parameters.GRADIENT(EVAL, name=name),
             condition,
+            statistic=f"by {name}: for {share:.3g} of the directions at {condition}, "
+            f"with the median {own:.4g} where differences have {due:.4g}",
             size=share,
             kind=Kind.GRADIENT,
             about=name,

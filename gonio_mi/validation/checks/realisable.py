@@ -6,19 +6,50 @@ import numpy as np
 
 from ...array_types import Flags, Floats
 from ...collector.stokes import coherency_eigenvalues
-from ..evidence import Evidence
-from ..mueller import Matrices, condition_of, per_light
+from ..evidence import POLARISING, SAME, Evidence, Question
+from ..mistakes import Function, Guess, Mistake
+from ..mueller import Matrices, per_light
 from ..samples import beyond_rounding
 
 # Eigenvalue over the trace that rounding may leave below 0: a few times that of
 # elements, in single precision.
 ROUNDING = 5e-4
 
+REALISABLE = Question(
+    "realisable",
+    "each matrix is that of a real surface (Cloude)",
+    integrators=POLARISING,
+    explains=0,
+    needed=True,
+    of_surfaces=False,
+    of_matrices=SAME,
+)
+
+
+class Unreal(Mistake):
+    """Why matrices are those of no surface."""
+
+    V_ON_LEAVING = """{who} returns matrices that no surface has: the handedness of V
+        changes sign on leaving"""
+    V_ON_ARRIVAL = """{who} returns matrices that no surface has: the handedness of V
+        changes sign on arrival"""
+    COLUMNS = """{who} returns matrices that no surface has: the last two columns change
+        sign"""
+    POLARISES = """{who} returns matrices that no surface has: unpolarised light leaves
+        with a degree of polarisation of {degree:.3g}"""
+    ONE_POLARISATION = """{who} returns matrices that no surface has: light of one
+        polarisation leaves with {most:.3g} times the flux of unpolarised light, and of
+        the opposite one with {least:.3g} times it"""
+    TOO_COHERENT = """{who} returns matrices that no surface has: elements beyond the
+        first row and column are too large for these, as where an arithmetic mean of
+        reflectances replaces their geometric mean"""
+
+
 # Mistakes of signs, and what takes them back.
 SIGNS = {
-    "the handedness of V changes sign on leaving": (np.diag([1, 1, 1, -1]), np.eye(4)),
-    "the handedness of V changes sign on arrival": (np.eye(4), np.diag([1, 1, 1, -1])),
-    "the last two columns change sign": (np.eye(4), np.diag([1, 1, -1, 1])),
+    Unreal.V_ON_LEAVING: (np.diag([1, 1, 1, -1]), np.eye(4)),
+    Unreal.V_ON_ARRIVAL: (np.eye(4), np.diag([1, 1, 1, -1])),
+    Unreal.COLUMNS: (np.eye(4), np.diag([1, 1, -1, 1])),
 }
 
 
@@ -33,36 +64,26 @@ def check_matrices(evidence: Evidence, matrices: Matrices, asked: Flags) -> None
     wrong = least < -ROUNDING
     if not beyond_rounding(wrong):
         return
-    worst = int(np.argmin(least))
-    condition, function = condition_of(chosen, (worst,)), chosen.function
     evidence.breach(
-        "realisable",
-        function,
-        f"an eigenvalue of the coherency matrix is {least[worst]:.3g} of their sum at "
-        f"{condition}, and negative for {100 * wrong.mean():.3g} % of the matrices"
-        f"{chosen.place(wrong)}",
-        f"`{function}` returns matrices that no surface has: {_mistake(m[wrong])}",
-        condition,
-        size=float(-least[worst]),
-        off=float(wrong.mean()),
+        REALISABLE,
+        _guess(chosen.function, m[wrong]),
+        chosen.by(-least),
+        wrong,
+        f"an eigenvalue of the coherency matrix is down to {least.min():.3g} of their "
+        "sum, and negative",
+        size=float(-least.min()),
     )
 
 
-def _mistake(m: Floats) -> str:
+def _guess(function: Function, m: Floats) -> Guess:
     """Likely mistake in matrices that are divided by their first element."""
     for mistake, (left, right) in SIGNS.items():
         if (coherency_eigenvalues(left @ m @ right)[..., 0] > -ROUNDING).all():
-            return mistake
+            return mistake(function)
     row = np.linalg.norm(m[..., 0, 1:], axis=-1).max()
     column = np.linalg.norm(m[..., 1:, 0], axis=-1).max()
     if column > 1 + ROUNDING:
-        return f"unpolarised light leaves with a degree of polarisation of {column:.3g}"
+        return Unreal.POLARISES(function, degree=column)
     if row > 1 + ROUNDING:
-        return (
-            f"light of one polarisation leaves with {1 + row:.3g} times the flux of "
-            f"unpolarised light, and of the opposite one with {1 - row:.3g} times it"
-        )
-    return (
-        "elements beyond the first row and column are too large for these, as where an "
-        "arithmetic mean of reflectances replaces their geometric mean"
-    )
+        return Unreal.ONE_POLARISATION(function, most=1 + row, least=1 - row)
+    return Unreal.TOO_COHERENT(function)

@@ -3,19 +3,43 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
 from ...array_types import Flags, Floats
 from ...single_precision import BSDF_ROUNDING
-from ..conditions import LitFrom
-from ..evidence import BREAKS, MODEL, Evidence
+from ..evidence import ALL, BIAS, BREAKS, FROM_LIGHTS, MODEL, Evidence, Question
 from ..kinds import Kind
+from ..mistakes import EVAL, SAMPLE, Guess, Mistake
 from ..probe import Probe, numbers, spectral
 from ..samples import Samples, beyond_rounding, samples_of, unequal
 from .delta import DIRECTION_ROUNDING, Lobe
+
+RECIPROCITY = Question(
+    "reciprocity",
+    "source and detector can be exchanged, with a factor eta^2",
+    MODEL,
+    {BIAS: ALL, BREAKS: FROM_LIGHTS},
+    of_volumes="source and detector can be exchanged",
+    of_matrices="source and detector can be exchanged, in all elements",
+    explains=2,
+)
+
+
+class Reciprocity(Mistake):
+    """What is wrong if light goes the other way."""
+
+    ONE_WAY = "{who} lets light go one way only"
+    ASYMMETRIC = "{who} is not symmetric in wi and wo, in a Fresnel term perhaps"
+    FACTOR = """{who} transmits {factor:.4g} times what it does the other way, where
+        eta^2 is due"""
+    IN_TRANSMISSION = """{who} is not symmetric in wi and wo, apart from eta^2, in
+        transmission"""
+    OF_A_LOBE = "{who} gives a discrete lobe another share than its reverse"
+    ETA2_OF_A_LOBE = """{who} gives a discrete lobe another share than its reverse in
+        importance mode: 1/eta^2 belongs to radiance mode only"""
+
 
 # Rounding of a squared cosine that is found from sines: of four products.
 SQUARE_ROUNDING = 2.0**-22
@@ -108,15 +132,8 @@ def check_ways(evidence: Evidence, ways: BothWays) -> None:
         if np.all(_declared(evidence.bsdf, ways)[wrong]):
             evidence.declared["reciprocity"] = f"{text}, declared as NonSymmetric"
         else:
-            size = float(wrong.mean())
-            evidence.breach(
-                "reciprocity",
-                "eval",
-                text,
-                _mistake(ways, wrong),
-                samples.condition,
-                size=size,
-            )
+            how = {"statistic": text, "off": None}
+            evidence.breach(RECIPROCITY, _guess(ways, wrong), samples, wrong, **how)
 
 
 def _declared(bsdf: mi.BSDF, ways: BothWays) -> Flags:
@@ -140,19 +157,16 @@ def _is_nonsymmetric(bsdf: mi.BSDF, kinds: int, only: int | None) -> bool:
     return any(f & int(mi.BSDFFlags.NonSymmetric) and f & kinds for f in own)
 
 
-def _mistake(ways: BothWays, wrong: Flags) -> str:
+def _guess(ways: BothWays, wrong: Flags) -> Guess:
     """Likely mistake in ``eval``, judged by the ratio of f one way to the other."""
     if not ways.backward[wrong].any():
-        return "`eval` lets light go one way only"
+        return Reciprocity.ONE_WAY(EVAL)
     if ways.samples.reflected[wrong].all():
-        return "`eval` is not symmetric in wi and wo, in a Fresnel term perhaps"
+        return Reciprocity.ASYMMETRIC(EVAL)
     ratio = ways.ratio(ways.backward, wrong)
     if is_constant(ratio):
-        return (
-            f"`eval` transmits {np.median(ratio):.4g} times what it does the other "
-            "way, where eta^2 is due"
-        )
-    return "`eval` is not symmetric in wi and wo, apart from eta^2, in transmission"
+        return Reciprocity.FACTOR(EVAL, factor=np.median(ratio))
+    return Reciprocity.IN_TRANSMISSION(EVAL)
 
 
 def ratio_text(a: Floats, b: Floats, wrong: Flags, samples: Samples) -> str:
@@ -185,7 +199,7 @@ def check_lobe(evidence: Evidence, lobe: Lobe, key: tuple[int, ...]) -> bool:
     samples = lobe.samples
     if samples.condition.mode != "importance" or abs(lobe.wo[2]) < 1e-3:
         return True
-    reverse: Any = LitFrom(samples.condition, lobe.wo)
+    reverse = samples.condition.lit_from(lobe.wo)
     back = samples_of(evidence.bsdf, reverse, samples.n, (*key, 7))
     returned = back.given & (back.type == lobe.kind)
     off = np.abs(back.wo - samples.condition.wi).max(axis=1)
@@ -201,26 +215,17 @@ def check_lobe(evidence: Evidence, lobe: Lobe, key: tuple[int, ...]) -> bool:
         f"a discrete lobe has {there.max():.4g} of the light, {again.max():.4g} on the "
         f"way back, at {samples.condition}"
     )
-    mistake = "`sample` gives a discrete lobe another share than its reverse"
+    mistake, effect = Reciprocity.OF_A_LOBE, MODEL  # as of a smooth lobe
     eta2 = float(np.median(samples.eta[lobe.own])) ** 2
     refracts = bool(lobe.kind & int(mi.BSDFFlags.DeltaTransmission))
     if refracts and abs(eta2 - 1) > BSDF_ROUNDING:
-        mistake += " in importance mode: 1/eta^2 belongs to radiance mode only"
-        effect = BREAKS
+        mistake, effect = Reciprocity.ETA2_OF_A_LOBE, BREAKS
     elif _is_nonsymmetric(evidence.bsdf, lobe.kind, samples.condition.component):
         evidence.declared["reciprocity"] = f"{text}, declared as NonSymmetric"
         return False
-    else:
-        effect = MODEL  # as of a smooth lobe
-    evidence.breach(
-        "reciprocity",
-        "sample",
-        text,
-        mistake,
-        samples.condition,
-        effect=effect,
-        kind=Kind.RECIPROCITY_OF_A_LOBE,
-    )
+    how = {"effect": effect, "kind": Kind.RECIPROCITY_OF_A_LOBE}
+    where = samples.condition
+    evidence.breach(RECIPROCITY, mistake(SAMPLE), where, statistic=text, **how)
     return False
 
 
@@ -232,7 +237,7 @@ def _sensitivity(bsdf: mi.BSDF, lobe: Lobe) -> float:
     shares = []
     for change in (-2 * tilt, -tilt, 0.0, tilt, 2 * tilt):
         z = max(cosine + change, tilt / 2) * np.sign(wo[2])
-        tilted: Any = LitFrom(lobe.samples.condition, np.array([wo[0], wo[1], z]))
+        tilted = lobe.samples.condition.lit_from(np.array([wo[0], wo[1], z]))
         bs, weight = Probe(bsdf, tilted).sample(*lobe.samples.random)
         share = spectral(weight, n) * numbers(bs.pdf, n)[:, None]
         same = numbers(bs.sampled_type, n) == lobe.kind

@@ -2,10 +2,27 @@
 
 from __future__ import annotations
 
-from ..evidence import Evidence
+from ..evidence import COMBINED, SAME, Evidence, Question
+from ..mistakes import SAMPLE, Mistake
 from ..samples import Samples, ratio_of, unequal
 
+SAMPLED_PDF = Question(
+    "sampled_pdf",
+    "the pdf that `sample` returns is that of `pdf`",
+    integrators=COMBINED,
+    of_volumes=SAME,
+    identity=True,
+    of_matrices=SAME,
+)
 
+
+class SampledPdf(Mistake):
+    """What is wrong with a sampled pdf."""
+
+    OTHER = "{who} returns another pdf than `pdf`"
+
+
+@SAMPLED_PDF.asks("samples")
 def check_samples(evidence: Evidence, samples: Samples) -> None:
     """Check that both densities are equal, sample by sample, where there is light."""
     lit = samples.usable & (samples.eval != 0).any(axis=1)
@@ -13,11 +30,10 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
         return
     wrong = unequal(samples.sampled_pdf, samples.pdf, samples.pdf_slack) & lit
     evidence.breach_of_ratio(
-        "sampled_pdf",
-        "sample",
+        SAMPLED_PDF,
+        SampledPdf.OTHER(SAMPLE),
         samples,
         wrong,
         ratio_of(samples.sampled_pdf, samples.pdf),
         "its pdf over `pdf`",
-        "`sample` returns another pdf than `pdf`",
     )

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ...array_types import Flags, Floats
-from ..evidence import INTERFACE, Evidence
+from ..evidence import INTERFACE, SAME, SAMPLED, Evidence, Question
+from ..mistakes import SAMPLE, Mistake
 from ..samples import (
     MAX_SEARCHED,
     Samples,
@@ -15,10 +16,27 @@ from ..samples import (
     unequal,
 )
 
+SAMPLED_WEIGHT = Question(
+    "sampled_weight",
+    "weight times pdf is `eval`",
+    integrators=SAMPLED,
+    of_volumes=SAME,
+    identity=True,
+    of_matrices="weight times pdf is `eval`, in all elements",
+)
+
+
+class SampledWeight(Mistake):
+    """What is wrong with sampled weights."""
+
+    OTHER = "the weight of {who} is not `eval` over pdf"
+
+
 # Standard errors beyond which two means differ.
 MAX_SCORE = 5
 
 
+@SAMPLED_WEIGHT.asks("samples")
 def check_samples(evidence: Evidence, samples: Samples) -> None:
     """Check that both are equal, sample by sample, for one of the two densities."""
     lit = samples.usable & (samples.eval != 0).any(axis=1)
@@ -33,13 +51,12 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
         wrong[1][wrong[1]] = _unequal(few, *closer_slacks(evidence.bsdf, few))[1]
     if all(beyond_rounding(one) for one in wrong):
         evidence.breach_of_ratio(
-            "sampled_weight",
-            "sample",
+            SAMPLED_WEIGHT,
+            SampledWeight.OTHER(SAMPLE),
             samples,
             wrong[1],
             ratio_of(_products(samples)[1], samples.eval),
             "weight times pdf over `eval`",
-            "the weight of `sample` is not `eval` over pdf",
             effect="" if _is_biased(samples, lit) else INTERFACE,
         )
 

@@ -12,15 +12,38 @@ from ...array_types import Flags, Floats, Integers
 from ...collector.directions import direction
 from ...single_precision import BSDF_ROUNDING
 from ..conditions import Condition, Sweep
-from ..evidence import BIAS, INTERFACE, MAX_P, NOISE, Evidence
-from ..factors import has_known_factor, ratios_of
+from ..evidence import BIAS, COMBINED, INTERFACE, MAX_P, NOISE, SAME, Evidence, Question
+from ..factors import OF_WEIGHT, has_known_factor, ratios_of
 from ..integrals import SUM_ERROR
 from ..kinds import Kind
-from ..maps import FourMaps, skew_score
+from ..maps import FourMaps, skew_score, unexplained_fraction
+from ..mistakes import PDF, SAMPLE, Function, Mistake
 from ..probe import Probe, is_delta, numbers, spectral, uniform, vectors
 from ..samples import samples_of
 from .answers import lattice
-from .weights import check_scores
+from .weights import WEIGHTS, check_scores
+
+SAMPLING = Question(
+    "sampling",
+    "directions are drawn with the density of `pdf`",
+    integrators=COMBINED,
+    of_volumes=SAME,
+    identity=True,
+    needed=True,
+)
+
+
+class Sampling(Mistake):
+    """What is wrong with densities."""
+
+    MORE_THAN_1 = "{who} integrates to {mass:.4g}, more than 1{dark}"
+    DARK_SIDE = """{who} is not 0 from a side that `flags` does not declare, where
+        `eval` is black and `sample` scatters nothing"""
+    OTHER_PROBABILITY = """{who}: directions are drawn with another probability than
+        `pdf` says ({sums})"""
+    ROULETTE = """{who} rejects directions by a Russian roulette of its own, and its
+        weights make up for it"""
+
 
 # Bands of the angle of incidence, and sectors of its azimuth, and the least number of
 # equal terms that a sum must be worth.
@@ -34,25 +57,23 @@ MIN_REJECTED = 0.01
 MAX_SCORE = 4
 
 
+@SAMPLING.asks("maps")
 def check_maps(evidence: Evidence, maps: FourMaps) -> None:
     """Test counts by patch and in total, and that ``pdf`` integrates to at most 1.
 
     A density does no harm where ``eval`` is black.
     """
-    check_scores(evidence, maps, "sampling")
+    check_scores(evidence, maps, SAMPLING)
     used, unused = maps.pdf.sum(), maps.due.unused.values.sum()
     slack = max(maps.pdf_sum_bound, SUM_ERROR) + maps.due.unused.sum_bound
     if used + unused > 1 + slack:
         harmless = used <= 1 + slack
-        text = f"`pdf` integrates to {used + unused:.4g}, more than 1"
-        if harmless:
-            text += f", {unused:.4g} of it where `eval` is black"
+        dark = f", {unused:.4g} of it where `eval` is black" if harmless else ""
         evidence.breach(
-            "sampling",
-            "pdf",
-            f"{used + unused:.5g} at {maps.condition}",
-            text,
+            SAMPLING,
+            Sampling.MORE_THAN_1(PDF, mass=used + unused, dark=dark),
             maps.condition,
+            found=f"{used + unused:.5g}",
             size=used + unused - 1,
             off=min(used + unused - 1, 1.0),
             effect=INTERFACE if harmless else "",
@@ -69,12 +90,10 @@ def check_unsampled_side(evidence: Evidence, condition: Condition) -> None:
     mass = 4 * np.pi * float(np.nan_to_num(density, nan=0).mean())
     if mass > 0:
         evidence.breach(
-            "sampling",
-            "pdf",
-            f"`pdf` integrates to {mass:.3g} at {condition}",
-            "`pdf` is not 0 from a side that `flags` does not declare, where `eval` is "
-            "black and `sample` scatters nothing",
+            SAMPLING,
+            Sampling.DARK_SIDE(PDF),
             condition,
+            found=f"`pdf` integrates to {mass:.3g}",
             size=mass,
             effect=INTERFACE,
             kind=Kind.MASS_OF_A_DARK_SIDE,
@@ -117,29 +136,20 @@ def check_sweep(evidence: Evidence, sweep: Sweep, key: tuple[int, ...]) -> None:
         f"equal the sampled mass of {counted:.4g}, at {place}"
     )
     off = abs(mass - counted) / max(mass, counted, 1e-9) * float(own.mean())
-    evidence.test(
-        "sampling",
-        p,
-        f"worst z {z:+.3g} of {n_scores} bands and sectors of incidence: {place}",
-        sweep.middle(own),
-        off,
-    )
+    guess = None
     if p < MAX_P:
         function = _unbalanced(mass, counted, max(MAX_SCORE * std_err, SUM_ERROR))
-        who = function.replace(" or ", "` or `")
-        evidence.suspects["sampling"] = (
-            function,
-            f"`{who}`: directions are drawn with another probability than `pdf` says "
-            f"({sums})",
-        )
+        guess = Sampling.OTHER_PROBABILITY(function, sums=sums)
+    text = f"worst z {z:+.3g} of {n_scores} bands and sectors of incidence: {place}"
+    evidence.test(SAMPLING, p, text, sweep.middle(own), off=off, guess=guess)
 
 
-def _unbalanced(mass: float, counted: float, slack: float) -> str:
+def _unbalanced(mass: float, counted: float, slack: float) -> Function:
     """Function that is at fault, by the integral of ``pdf`` and the sampled mass."""
     complete = abs(mass - 1) < slack
     if mass > 1 + slack or (counted > 1 - SUM_ERROR and not complete):
-        return "pdf"
-    return "sample" if complete and counted < 1 - slack else "sample or pdf"
+        return PDF
+    return SAMPLE if complete and counted < 1 - slack else SAMPLE | PDF
 
 
 def _densities(probe: Probe, wo: Floats, usable: Flags) -> tuple[Floats, Flags]:
@@ -209,6 +219,21 @@ def _score_by_cell(cells: Integers, first: Floats, second: Floats) -> Floats:
     return np.nan_to_num(skew_score(difference / sigma, third / sigma**3))
 
 
+def check_pooled(evidence: Evidence) -> None:
+    """Test sums over all patches and conditions, for a small error everywhere."""
+    for question in (SAMPLING, WEIGHTS):
+        name = question.name
+        varying = (m for m in evidence.maps if name == "weights" or m.count_varies)
+        # what is certain is judged one by one
+        scores = [z for m in varying if 0 < abs(z := m.scores(name).total) < 8]
+        if len(scores) > 1:
+            z = float(np.sum(scores) / np.sqrt(len(scores)))
+            p = float(2 * special.ndtr(-abs(z)))
+            gains = [unexplained_fraction(m, name)[1] for m in evidence.maps]
+            off = abs(float(np.mean(gains)))
+            evidence.test(question, p, f"z of all sums together {z:+.1f}", off=off)
+
+
 def check_roulette(evidence: Evidence) -> None:
     """Whether ``sample`` rejects directions at random and its weights make up for it.
 
@@ -220,14 +245,10 @@ def check_roulette(evidence: Evidence) -> None:
         return
     if not all(_is_roulette(evidence, maps) for maps in whole):
         return
-    if has_known_factor(ratios_of(evidence, "sample")):
+    if has_known_factor(ratios_of(evidence, OF_WEIGHT)):
         return  # a cosine or a Jacobian is no chance: `pdf` lacks it
-    mistake = (
-        "`sample` rejects directions by a Russian roulette of its own, and its weights "
-        "make up for it"
-    )
     biased = [b for b in evidence.of("sampled_weight") if b.effect == BIAS]
-    evidence.change(biased, effect=NOISE, mistake=mistake)
+    evidence.change(biased, effect=NOISE, guess=Sampling.ROULETTE(SAMPLE))
     evidence.tests[:] = [
         replace(t, effect=NOISE) if t.name == "sampling" and t.effect == BIAS else t
         for t in evidence.tests

@@ -31,7 +31,7 @@ from ...campaigns.measure import measure
 from ...errors import SettingError, SpecimenError
 from ...progress import bar
 from ...reports.page import folded, preformatted, save_page, table
-from ..evidence import PHASE, PROPERTIES
+from ..questions import PHASE, PROPERTIES
 from ..reproducers import ANYWHERE, by_lattices, in_two_variants, script, source_of
 from ..verdict import FAILS, Property, Verdict
 from .asking import answers_of
