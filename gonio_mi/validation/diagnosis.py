@@ -74,9 +74,7 @@ ANY = Diagnosis.ANY(SAMPLE)
 
 
 def likely_mistake(
-    evidence: Evidence,
-    failed: Mapping[str, str],
-    shares: Mapping[str, float | None],
+    evidence: Evidence, failed: Mapping[str, str], shares: Mapping[str, float | None]
 ) -> Guess:
     """Likely guilty function and mistake.
 
@@ -106,7 +104,7 @@ def likely_mistake(
         questions = [one for one in questions if failed[one.name] == worst]
     for question in sorted(questions, key=rank):
         if question.identity:
-            return _odd_function(evidence, failed)
+            return next(filter(None, (guess(evidence, failed) for guess in ODD)))
         if question.explain is not None:
             guess = question.explain(evidence)
         else:
@@ -117,11 +115,6 @@ def likely_mistake(
 
 
 # ------------------------------------------------ what contradicts the other functions
-
-
-def _odd_function(evidence: Evidence, failed: Mapping[str, str]) -> Guess:
-    """Guess which of ``sample``, ``pdf`` and ``eval`` contradicts the two others."""
-    return next(filter(None, (guess(evidence, failed) for guess in ODD)))
 
 
 def _noise(evidence: Evidence, failed: Mapping[str, str]) -> Guess | None:

@@ -12,10 +12,11 @@ import numpy as np
 
 from ..array_types import Flags, Floats
 from ..single_precision import BSDF_ROUNDING
+from ..transport.bsdf_trial import PluginFault
 from .conditions import Condition
 from .kinds import Kind, MatrixKind
 from .maps import FourMaps
-from .mistakes import Guess
+from .mistakes import Function, Guess, Mistake
 from .samples import Samples, beyond_rounding
 
 # What a failure does to an image, the worst first.
@@ -45,6 +46,12 @@ MAX_P = 1e-4
 
 # A larger ratio has a denominator of 0.
 MAX_RATIO = 1e20
+
+
+class Fault(Mistake):
+    """What a function does instead of an answer."""
+
+    NO_ANSWER = "`{name}` {what}"
 
 
 @dataclass(frozen=True)
@@ -173,9 +180,10 @@ class Finding:
 class Breach(Finding):
     """A property that a BSDF certainly lacks.
 
-    Of a property, the one of the largest `size` is shown.
+    Of a property, the one of the largest `size` is shown. Each has a guess.
     """
 
+    guess: Guess = None  # type: ignore[assignment]
     size: float = 1.0
 
 
@@ -251,7 +259,7 @@ class Evidence:
         guess: Guess,
         at: Any = None,
         wrong: Flags | None = None,
-        found: str = "",
+        /,
         **others: Any,
     ) -> None:
         """Add a :class:`Breach` at a condition, or at what was asked and is `wrong`.
@@ -266,11 +274,11 @@ class Evidence:
         guess : Guess
         at : Condition or Samples or Matrices, optional
             The latter with `wrong`, a mask.
-        found : str
-            How much, with which its text begins.
         **others
-            Of the breach; `size` and `off` are the fraction that is wrong.
+            Of the breach; `size` and `off` are the fraction that is wrong. With what
+            was `found` its statistic begins.
         """
+        found = others.pop("found", "")
         if wrong is not None:
             share = float(wrong.mean())
             others = {"size": share, "off": share} | others
@@ -282,6 +290,15 @@ class Evidence:
             others["effect"] = INTERFACE
         others = {"statistic": found, "condition": at, "guess": guess} | others
         self.breaches.append(Breach(question, **others))
+
+    def breach_of_fault(
+        self, question: Question, fault: PluginFault, **others: Any
+    ) -> None:
+        """Add a breach by which a function gives no usable answer."""
+        fields = {"name": fault.function, "what": fault.what}
+        guess = Fault.NO_ANSWER(Function.named(fault.function), **fields)
+        others = {"found": str(fault), "kind": Kind.RAISES} | others
+        self.breach(question, guess, **others)
 
     def breach_of_ratio(
         self,
@@ -302,8 +319,8 @@ class Evidence:
             low, middle, high = np.quantile(ratio[usable], [0.05, 0.5, 0.95])
             spread = f"{low:.4g} to {high:.4g}, median {middle:.4g}"
         off = np.mean(np.where(usable, np.minimum(np.abs(ratio - 1), 1), wrong))
-        others["off"] = float(off)
-        self.breach(question, guess, samples, wrong, f"{what} is {spread}", **others)
+        others |= {"found": f"{what} is {spread}", "off": float(off)}
+        self.breach(question, guess, samples, wrong, **others)
 
     def change(self, some: Collection[Breach], **changes: Any) -> None:
         """Give these very breaches other attributes."""
@@ -329,7 +346,7 @@ class Evidence:
     def guess(self, name: str) -> Guess | None:
         """What the worst breach of a property tells; None without."""
         worst = self.worst(name)
-        return worst and worst.guess
+        return worst.guess if worst else None
 
     def suspect(self, name: str) -> Guess | None:
         """What the worst test tells of those that tell something; None without."""
@@ -348,6 +365,7 @@ class Evidence:
         p: float,
         statistic: str,
         condition: Condition | None = None,
+        /,
         **others: Any,
     ) -> None:
         """Add a :class:`Test`.

@@ -37,9 +37,7 @@ from .conditions import Condition, Effort, sides_of
 from .cosines import explain_reciprocity
 from .diagnosis import likely_mistake
 from .evidence import BIAS, MAX_P, Evidence, Question
-from .kinds import Kind
 from .maps import four_maps, in_radiance_mode
-from .mistakes import Function, Mistake
 from .phase_functions import as_bsdf, examine_phase_function
 from .polarised import examine_polarised
 from .probe import Probe, number_parameters
@@ -63,12 +61,6 @@ TINT = (1.0, 0.8, 0.6)
 
 # Names of parameters that are a colour.
 COLOURS = re.compile("reflectance|transmittance|colou?r|albedo|tint")
-
-
-class Fault(Mistake):
-    """Why nothing more could be asked."""
-
-    NO_ANSWER = "`{function}` {what}"
 
 
 @launches_kernels(is_parallel)
@@ -159,9 +151,16 @@ def validate(
         + sum(one.n for one in evidence.samples)
         + n_asked,
     }
-    said = (str(guess.functions), str(guess)) if guess else (None, None)
-    maps = tuple(evidence.maps)
-    return Verdict(name, tuple(properties), *said, settings, maps, source, guess)
+    return Verdict(
+        name,
+        tuple(properties),
+        str(guess.functions) if guess else None,
+        str(guess) if guess else None,
+        settings,
+        tuple(evidence.maps),
+        source,
+        guess,
+    )
 
 
 def _questions(bsdf: mi.BSDF, name: str, allow: Sequence[str]) -> tuple[Question, ...]:
@@ -373,10 +372,7 @@ def _depends_on_mode(evidence: Evidence, samples: Samples) -> bool:
 
 def _stop(evidence: Evidence, fault: PluginFault) -> None:
     """Record a fault of the plugin, after which nothing else can be judged."""
-    function = Function.named(fault.function)
-    guess = Fault.NO_ANSWER(function, function=fault.function, what=fault.what)
-    how = {"size": 10.0, "kind": Kind.RAISES}
-    evidence.breach(evidence.questions[0], guess, found=str(fault), **how)
+    evidence.breach_of_fault(evidence.questions[0], fault, size=10.0)
     for question in evidence.questions:
         evidence.undecided[question.name] = f"`{fault.function}` must answer first"
 

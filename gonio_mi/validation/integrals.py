@@ -114,10 +114,7 @@ class Expected:
 
 
 def integrals(
-    probe: Probe,
-    subdivision: RingsAndSectors,
-    totals: PatchTotals,
-    limits: Floats,
+    probe: Probe, subdivision: RingsAndSectors, totals: PatchTotals, limits: Floats
 ) -> Expected:
     """Integrals of ``pdf``, damped weights, and of each channel of ``eval``.
 

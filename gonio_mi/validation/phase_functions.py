@@ -12,13 +12,7 @@ import numpy as np
 
 from ..array_types import Floats
 from ..transport.media import N_RINGED, ask_phase_function
-from .checks import (
-    answers,
-    components,
-    cost,
-    parameters,
-    sampling,
-)
+from .checks import answers, components, cost, parameters, sampling
 from .checks.consistency import check_again, check_identities
 from .checks.energy import ENERGY, Energy
 from .checks.reciprocity import RECIPROCITY, ratio_text

@@ -62,10 +62,7 @@ TILTING = ("normalmap", "bumpmap")
 
 
 def examine_polarised(
-    evidence: Evidence,
-    effort: str,
-    specimen: Any,
-    load: Callable[[], mi.BSDF] | None,
+    evidence: Evidence, effort: str, specimen: Any, load: Callable[[], mi.BSDF] | None
 ) -> int:
     """Run all checks and return the number of answers that they asked for.
 

@@ -344,9 +344,9 @@ def properties_of(
         reached = question.reached(one.effect)
         if evidence.of_volumes:
             reached = VOLUMETRIC if one.effect in (BIAS, BREAKS) else ""
-        fixed = {"question": question.text, "needed": question.needed}
-        fixed |= {"of_volumes": evidence.of_volumes, "integrators": reached}
-        found.append(replace(one, **fixed))
+        one = replace(one, question=question.text, needed=question.needed)
+        fixed = replace(one, of_volumes=evidence.of_volumes, integrators=reached)
+        found.append(fixed)
     return found
 
 
@@ -369,7 +369,7 @@ def _property(
         text = worst.statistic if worst and not beyond else _worst_statistic(beyond)
         if not beyond and len(breaches) > 1:
             text += f"; {len(breaches) - 1} more like it"
-        shown, guess = worst or _worst(beyond), worst and worst.guess
+        shown, guess = worst or _worst(beyond), worst.guess if worst else None
         return Property(
             name,
             LACKS if allowed else FAILS,

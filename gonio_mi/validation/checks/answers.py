@@ -173,7 +173,7 @@ def check_frames(evidence: Evidence) -> None:
         elif turned - flat or guess.mistake not in MIXED:
             others = {"size": 2.0, "off": None, "kind": Kind.OTHER_IN_THE_WORLD}
             text = "where the surface is turned,"
-            evidence.breach(ANSWERS, guess, samples, wrong, text, **others)
+            evidence.breach(ANSWERS, guess, samples, wrong, found=text, **others)
         else:
             _remark_on_place(evidence, guess.functions)
         return
@@ -268,8 +268,9 @@ def check_order(evidence: Evidence, samples: Samples) -> None:
     ):
         wrong = unequal(answer[::-1], due, slack) & samples.usable
         if beyond_rounding(wrong):
-            guess, kind = Answers.OF_ORDER(function), Kind.OTHER_IN_ANOTHER_PLACE
-            evidence.breach(ANSWERS, guess, samples, wrong, size=2.0, kind=kind)
+            how = {"size": 2.0, "kind": Kind.OTHER_IN_ANOTHER_PLACE}
+            guess = Answers.OF_ORDER(function)
+            evidence.breach(ANSWERS, guess, samples, wrong, **how)
             return
 
 
@@ -309,10 +310,7 @@ def example(improper_rows: Numbers) -> str:
 
 
 def check_memory(
-    evidence: Evidence,
-    first: Samples,
-    after: tuple[Floats, Floats],
-    again: Samples,
+    evidence: Evidence, first: Samples, after: tuple[Floats, Floats], again: Samples
 ) -> None:
     """Check that answers about the first samples do not depend on earlier calls.
 

@@ -167,7 +167,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
             deaf or Components.NO_SUM(EVAL),
             samples,
             wrong,
-            f"their sum is {np.median(ratio):.4g} times the whole",
+            found=f"their sum is {np.median(ratio):.4g} times the whole",
             size=1 + float(wrong.mean()),
             off=None,
         )
@@ -178,7 +178,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
         text = f"`pdf` is up to {min(ratio.max(), 1e6):.4g} times the sum of those of "
         text += "the components"
         guess = Components.PDF_IS_MORE(PDF)
-        evidence.breach(COMPONENTS, guess, samples, more, text, off=None)
+        evidence.breach(COMPONENTS, guess, samples, more, found=text, off=None)
 
 
 def _deaf(samples: Samples, each: Alone, usable: Flags) -> Guess | None:

@@ -111,7 +111,8 @@ def check_eta(evidence: Evidence, ways: BothWays) -> BothWays:
         mistake(SAMPLE),
         samples,
         through,
-        f"{reported**0.5:.4g} where the transport modes of `eval` have {due**0.5:.4g},",
+        found=f"{reported**0.5:.4g} where the transport modes of `eval` have "
+        f"{due**0.5:.4g},",
         off=None,
         effect=NOISE,  # only Russian roulette uses it
         kind=Kind.ETA,

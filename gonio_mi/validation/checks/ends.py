@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from itertools import product
 
 import mitsuba as mi
@@ -59,14 +58,7 @@ LIMITS = dict.fromkeys(("alpha", "alpha_u", "alpha_v", "roughness"), (1e-3, 1.0)
 LIMITS_OF_VOLUMES = {"g": (-0.999, 0.999)}
 
 
-@ENDS.asks("bsdf")
-def check(evidence: Evidence) -> None:
-    """Check the ends of the domain, and again at limits of parameters."""
-    check_bsdf(evidence)
-    check_limits(evidence, LIMITS_OF_VOLUMES if evidence.of_volumes else LIMITS)
-
-
-def check_bsdf(evidence: Evidence, where: str = "") -> None:
+def _check_ends(evidence: Evidence, where: str = "") -> None:
     """Check that all functions are finite and at least 0 at the ends of their domain.
 
     They are asked for sampled directions, and at the normal, at the horizon, in the
@@ -86,12 +78,15 @@ def check_bsdf(evidence: Evidence, where: str = "") -> None:
             evidence.breach(ENDS, guess, found=place, **how)
 
 
-def check_limits(evidence: Evidence, limits: Mapping[str, tuple[float, ...]]) -> None:
-    """Check the ends again at limits of parameters, given by the parameter's name."""
+@ENDS.asks("bsdf")
+def check_bsdf(evidence: Evidence) -> None:
+    """Check the ends, and again at limits of parameters."""
+    _check_ends(evidence)
     try:
         _, params = number_parameters(evidence.bsdf)
     except PluginFault:
         return  # a property of its own
+    limits = LIMITS_OF_VOLUMES if evidence.of_volumes else LIMITS
     own = {
         key: limits[last]
         for key, value in params.items()
@@ -102,7 +97,7 @@ def check_limits(evidence: Evidence, limits: Mapping[str, tuple[float, ...]]) ->
         given = {key: type(params[key])(x) for key, x in zip(own, values)}
         text = ", ".join(f"{key} {x:g}" for key, x in zip(own, values))
         with changed(evidence.bsdf, given):
-            check_bsdf(evidence, f", {text}")
+            _check_ends(evidence, f", {text}")
 
 
 def _check_condition(evidence: Evidence, probe: Probe, place: str) -> None:

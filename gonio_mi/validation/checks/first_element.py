@@ -92,7 +92,7 @@ def _compare(
     fields = {"factor": factor, "mode": matrices.in_mode}
     guess = FirstElement.FACTOR(matrices.function, **fields)
     text = f"it is {factor} times the unpolarised answer"
-    evidence.breach(FIRST_ELEMENT, guess, matrices, wrong, text, off=off)
+    evidence.breach(FIRST_ELEMENT, guess, matrices, wrong, found=text, off=off)
 
 
 def _ask(

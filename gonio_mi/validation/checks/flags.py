@@ -83,8 +83,8 @@ def _check_declared(evidence: Evidence, samples: Samples) -> bool:
         # integrators sample the light only if a lobe is declared to be smooth
         unlit = kinds & smooth and not flags & smooth
         guess, text = Declared.TYPE(FLAGS, names=names), f"{names} sampled"
-        effect = BIAS if unlit else ""
-        evidence.breach(DECLARED, guess, samples.condition, None, text, effect=effect)
+        how = {"found": text, "effect": BIAS if unlit else ""}
+        evidence.breach(DECLARED, guess, samples.condition, **how)
         return True
     if last >= n:
         hint = ""
@@ -135,8 +135,8 @@ def check_sides(evidence: Evidence) -> None:
             function = SAMPLE if samples.given.any() else EVAL
             function = function if np.isnan(samples.weight).any() else FLAGS
             text = f"{100 * lit.mean():.3g} % of the samples scatter"
-            guess, how = Declared.SIDE(function, side=side), {"found": text}
-            how["kind"] = Kind.UNDECLARED_SIDE
+            guess = Declared.SIDE(function, side=side)
+            how = {"found": text, "kind": Kind.UNDECLARED_SIDE}
             evidence.breach(DECLARED, guess, condition, **how)
     if not any(samples.given.any() for samples in evidence.samples):
         return

@@ -72,6 +72,6 @@ def check_bsdf(evidence: Evidence) -> None:
             if wrong.any() and evidence.of_volumes and mistake is Masks.IGNORED:
                 evidence.remarks["masks"] = [OF_VOLUMES]  # of `pdf` too
             elif wrong.any():
-                how = {"size": float(wrong.mean()), "kind": kind}
-                how["found"] = f"{wrong.sum()} of {n // 2} rays"
+                text, size = f"{wrong.sum()} of {n // 2} rays", float(wrong.mean())
+                how = {"found": text, "size": size, "kind": kind}
                 evidence.breach(MASKS, mistake(function), condition, **how)

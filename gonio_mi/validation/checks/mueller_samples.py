@@ -60,7 +60,9 @@ def check_finite(evidence: Evidence, matrices: Matrices) -> None:
         (negative, Matrix.NEGATIVE, "a negative first element"),
     ):
         if (wrong := np.asarray(wrong)).any():
-            evidence.breach(ANSWERS, mistake(matrices.function), matrices, wrong, what)
+            evidence.breach(
+                ANSWERS, mistake(matrices.function), matrices, wrong, found=what
+            )
 
 
 def check_weights(
@@ -77,7 +79,7 @@ def check_weights(
         low, high = np.quantile(ratio, [0.05, 0.95])
         text = f"the pdf of `sample` is {low:.4g} to {high:.4g} times that of `pdf`"
         guess = Matrix.DENSITIES(SAMPLE | PDF, mode=values.in_mode)
-        evidence.breach(SAMPLED_PDF, guess, lobes.weights, wrong, text, off=None)
+        evidence.breach(SAMPLED_PDF, guess, lobes.weights, wrong, found=text, off=None)
     flux = lobes.flux
     light = np.maximum(values.light, flux.light)[..., None, None]
     difference = np.where(light > 0, flux.raw - values.raw, 0)
@@ -97,7 +99,7 @@ def check_weights(
         _difference_guess(flux.take(wrong), values.take(wrong), suspects),
         flux.by(size),
         wrong,
-        f"weight times pdf is off `eval` by up to {size[worst]:.3g} of the first "
+        found=f"weight times pdf is off `eval` by up to {size[worst]:.3g} of the first "
         f"element, in element {place[0]}{place[1]},",
     )
 
@@ -153,4 +155,6 @@ def check_eval_pdf(
             fields = {"what": what, "mode": values.in_mode}
             guess = Matrix.OTHER_VALUES(Function.EVAL_PDF, **fields)
             how = {"off": None, "kind": kind, "about": "pdf"}
-            evidence.breach(EVAL_PDF, guess, values, wrong, f"its {what} differ", **how)
+            evidence.breach(
+                EVAL_PDF, guess, values, wrong, found=f"its {what} differ", **how
+            )

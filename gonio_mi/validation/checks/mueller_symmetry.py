@@ -73,4 +73,4 @@ def _compare(
         elif is_depolarised(due[wrong]):
             mistake = Symmetry.POLARISES
     text = f"elements over the first are off by up to {size[wrong].max():.3g}"
-    evidence.breach(question, mistake(one.function), one.by(size), wrong, text)
+    evidence.breach(question, mistake(one.function), one.by(size), wrong, found=text)

@@ -44,7 +44,6 @@ PARAMETERS = Question(
 class Parameters(Mistake):
     """What is wrong with parameters."""
 
-    RAISES = "`{function}` {what}"
     STALE = "{who} does not follow a change of {name}"
     STALE_ALONE = "{those} {does} not follow a change of {name} alone"
     UPDATE = "{who} changes {those} where no parameter has changed"
@@ -94,14 +93,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
     except PluginFault as fault:
         # images need none of it
         effect = INTERFACE if fault.function == "traverse" else ""
-        _breach_of_fault(evidence, fault, effect=effect)
-
-
-def _breach_of_fault(evidence: Evidence, fault: PluginFault, **how: Any) -> None:
-    """Add a breach of what a plugin raises."""
-    fields = {"function": fault.function, "what": fault.what}
-    guess = Parameters.RAISES(Function.named(fault.function), **fields)
-    evidence.breach(PARAMETERS, guess, found=str(fault), kind=Kind.RAISES, **how)
+        evidence.breach_of_fault(PARAMETERS, fault, effect=effect)
 
 
 def check_changes(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> None:
@@ -172,7 +164,7 @@ def _check_updates(
         except PluginFault as fault:
             if name:
                 continue  # a value that is refused
-            _breach_of_fault(evidence, fault)
+            evidence.breach_of_fault(PARAMETERS, fault)
             return
         own = [
             function
@@ -315,11 +307,7 @@ def _differentiable(params: Any, values: dict[str, Any]) -> Iterator[str]:
 
 
 def _check_gradient(
-    evidence: Evidence,
-    condition: Condition,
-    params: Any,
-    name: str,
-    wo: mi.Vector3f,
+    evidence: Evidence, condition: Condition, params: Any, name: str, wo: mi.Vector3f
 ) -> None:
     """Check gradients of ``eval``, one per direction, against central differences.
 

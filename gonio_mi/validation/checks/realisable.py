@@ -69,8 +69,8 @@ def check_matrices(evidence: Evidence, matrices: Matrices, asked: Flags) -> None
         _guess(chosen.function, m[wrong]),
         chosen.by(-least),
         wrong,
-        f"an eigenvalue of the coherency matrix is down to {least.min():.3g} of their "
-        "sum, and negative",
+        found="an eigenvalue of the coherency matrix is down to "
+        f"{least.min():.3g} of their sum, and negative",
         size=float(-least.min()),
     )
 
