@@ -17,11 +17,10 @@ from ..collector.directions import angles, direction
 from ..collector.stokes import UPRIGHT, plane_axis
 from ..instrument.loading import loaded
 from .checks import (
+    energy,
     first_element,
     frames,
-    mueller_energy,
-    mueller_samples,
-    mueller_symmetry,
+    matrices,
     realisable,
 )
 from .conditions import PLACES, sides_of
@@ -116,9 +115,9 @@ class _Examination:
     def check_pairs(self, load: Callable[[], mi.BSDF] | None) -> None:
         """Check single pairs of directions."""
         evidence, lobes, wi, uv = self.evidence, self.lobes, self.wi, self.uv
-        mueller_samples.check_finite(evidence, lobes.weights)
+        matrices.check_finite(evidence, lobes.weights)
         values, slack, wo = self.values, self.slack, self.values.wo
-        mueller_samples.check_finite(evidence, values)
+        matrices.check_finite(evidence, values)
         smooth = values.lit & values.finite
         realisable.check_matrices(evidence, values, smooth)
         # what is wrong with `eval` is with the weights that are made of it
@@ -129,17 +128,17 @@ class _Examination:
         if smooth.any():
             back, back_slack = self.importance.eval_with_slack(wo, wi, uv)
             both = slack + back_slack
-            mueller_symmetry.check_reciprocity(evidence, values, back, both)
+            matrices.check_reciprocity(evidence, values, back, both)
             other_mode = self.radiance.eval(wi, wo, uv)
-            mueller_samples.check_finite(evidence, other_mode)
-            mueller_symmetry.check_adjoint(evidence, other_mode, back, both)
+            matrices.check_finite(evidence, other_mode)
+            matrices.check_adjoint(evidence, other_mode, back, both)
         if lobes.delta.any():
             self._check_returns()
         seen = self.radiance.sample(wi, self.random, uv)
-        mueller_samples.check_finite(evidence, seen.weights)
+        matrices.check_finite(evidence, seen.weights)
         radiance, slack = self.radiance.eval_with_slack(wi, self._directions(seen), uv)
         # where importance mode contradicts itself, nothing is due in radiance mode
-        if not any(map(evidence.of, mueller_samples.AGREEMENTS)):
+        if not any(map(evidence.of, matrices.AGREEMENTS)):
             self._check_agreement(self.radiance, seen, radiance, slack)
         first_element.check_first_element(
             evidence, load, [(values, lobes), (radiance, seen)], self.random
@@ -163,9 +162,9 @@ class _Examination:
         if smooth.any():
             pairs = values.wi, values.wo, values.uv
             pdf = probe.pdf(*pairs)
-            mueller_samples.check_weights(self.evidence, lobes, values, pdf, slack)
+            matrices.check_weights(self.evidence, lobes, values, pdf, slack)
             joint = probe.eval_pdf(*pairs)
-            mueller_samples.check_eval_pdf(self.evidence, values, pdf, *joint, smooth)
+            matrices.check_eval_pdf(self.evidence, values, pdf, *joint, smooth)
 
     def _check_returns(self) -> None:
         """Check discrete lobes on the way back, and in radiance mode."""
@@ -185,12 +184,12 @@ class _Examination:
         back = returned.weights.take((np.arange(len(chosen)), which))
         slack = self._slack_of_lobes(there.wi, random, there.uv)
         slack = np.where(same.any(axis=1), slack, np.inf)
-        mueller_symmetry.check_reciprocity(self.evidence, there, back, slack)
+        matrices.check_reciprocity(self.evidence, there, back, slack)
         radiance = self.radiance.sample(there.wi, random, there.uv)
-        mueller_samples.check_finite(self.evidence, radiance.weights)
+        matrices.check_finite(self.evidence, radiance.weights)
         known = radiance.delta & (radiance.type == lobes.type[chosen])
         slack = np.where(known, slack, np.inf)
-        mueller_symmetry.check_adjoint(self.evidence, radiance.weights, back, slack)
+        matrices.check_adjoint(self.evidence, radiance.weights, back, slack)
 
     def _slack_of_lobes(self, wi: Floats, random: Floats, uv: Floats) -> Floats:
         """Slack for rounding of elements of weights over the first one."""
@@ -301,7 +300,7 @@ class _Examination:
             self.rng.random(shape),
             np.resize(PLACES, (N_LIT, 1, 2)),
         )
-        mueller_energy.check_gain(self.evidence, lobes)
+        energy.check_gain(self.evidence, lobes)
 
 
 def _moved(d: Floats, places: Floats, around: Flags, over: Flags) -> Floats:

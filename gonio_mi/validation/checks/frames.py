@@ -16,7 +16,7 @@ from ..kinds import MatrixKind
 from ..mistakes import EVAL, Mistake
 from ..mueller import Matrices, Reading, is_identity, off, per_light, readings
 from ..samples import beyond_rounding
-from .mueller_symmetry import ROUNDING
+from .matrices import ROUNDING
 
 FRAMES = Question(
     "frames",

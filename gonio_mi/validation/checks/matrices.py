@@ -1,4 +1,4 @@
-"""`sample`, `eval`, `pdf` and `eval_pdf` agree in all elements of their matrices."""
+"""All elements of matrices: functions agree, in both directions and transport modes."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...array_types import Flags, Floats
-from ...collector.stokes import UPRIGHT
-from ..evidence import Evidence
+from ...collector.stokes import EXCHANGE, UPRIGHT
+from ..evidence import Evidence, Question
 from ..kinds import Kind, MatrixKind
 from ..mistakes import EVAL, PDF, SAMPLE, Function, Guess, Mistake
 from ..mueller import (
@@ -21,8 +21,10 @@ from ..mueller import (
     readings,
 )
 from ..samples import beyond_rounding
+from .adjoint import ADJOINT
 from .answers import ANSWERS
 from .eval_pdf import EVAL_PDF
+from .reciprocity import RECIPROCITY
 from .sampled_pdf import SAMPLED_PDF
 from .sampled_weight import SAMPLED_WEIGHT
 
@@ -39,12 +41,21 @@ class Matrix(Mistake):
     ELEMENTS = """{who}: weight times pdf differs from `eval` in {n} elements ({names})
         but the first{mode}"""
     OTHER_VALUES = "{who} gives other {what} than `eval` and `pdf`{mode}"
+    NOT_RECIPROCAL = """{who} is not reciprocal in its polarisation: M(wi, wo) is not Q
+        M(wo, wi)^T Q"""
+    OTHER_WAY = """{who} does not answer for light that goes from wo to wi in radiance
+        mode (ctx.mode)"""
+    DEPOLARISES_IN_RADIANCE = """{who} depolarises, other than in importance mode, in
+        radiance mode (ctx.mode)"""
+    POLARISES_IN_RADIANCE = """{who} polarises, other than in importance mode, in
+        radiance mode (ctx.mode)"""
 
 
 # Properties that are judged here, of each transport mode.
 AGREEMENTS = ("sampled_pdf", "sampled_weight", "eval_pdf")
 
-# Relative difference of densities that is no rounding.
+# Relative difference of densities, and of elements over the first one beside their
+# slack, that is no rounding.
 ROUNDING = 2e-3
 
 # Fraction of the difference that a reading leaves which explains it.
@@ -158,3 +169,48 @@ def check_eval_pdf(
             evidence.breach(
                 EVAL_PDF, guess, values, wrong, found=f"its {what} differ", **how
             )
+
+
+def check_reciprocity(
+    evidence: Evidence, there: Matrices, back: Matrices, slack: Floats
+) -> None:
+    """Check ``M(wi, wo) = Q M(wo, wi)^T Q``, where Q changes the sign of U.
+
+    Matrices are divided by their first elements, which the unpolarised variant judges.
+    """
+    reverse = per_light(back.in_plane())
+    due = EXCHANGE @ np.swapaxes(reverse, -1, -2) @ EXCHANGE
+    _compare(evidence, RECIPROCITY, there, back, due, slack)
+
+
+def check_adjoint(
+    evidence: Evidence, radiance: Matrices, back: Matrices, slack: Floats
+) -> None:
+    """Check that radiance mode answers from wo to wi as importance mode does."""
+    _compare(evidence, ADJOINT, radiance, back, per_light(back.in_plane()), slack)
+
+
+def _compare(
+    evidence: Evidence,
+    question: Question,
+    one: Matrices,
+    back: Matrices,
+    due: Floats,
+    slack: Floats,
+) -> None:
+    """Check matrices over their first element where there is light both ways."""
+    m = per_light(one.in_plane())
+    both = one.lit & back.lit & one.finite & back.finite
+    size = np.where(both, np.nan_to_num(off(m, due)), 0.0)
+    wrong = size > ROUNDING + slack
+    if not beyond_rounding(wrong):
+        return
+    mistake = Matrix.NOT_RECIPROCAL
+    if question is ADJOINT:
+        mistake = Matrix.OTHER_WAY
+        if is_depolarised(m[wrong]):
+            mistake = Matrix.DEPOLARISES_IN_RADIANCE
+        elif is_depolarised(due[wrong]):
+            mistake = Matrix.POLARISES_IN_RADIANCE
+    text = f"elements over the first are off by up to {size[wrong].max():.3g}"
+    evidence.breach(question, mistake(one.function), one.by(size), wrong, found=text)
