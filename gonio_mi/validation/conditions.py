@@ -93,14 +93,12 @@ class Condition:
             ctx.type_mask = self.types
         return ctx
 
-    def place(self, wrong: Flags) -> str:
+    def place(self, wrong: Flags) -> str:  # noqa: ARG002
         """Text on where the samples are that are `wrong`."""
-        del wrong
         return str(self)
 
-    def middle(self, wrong: Flags) -> Condition:
+    def middle(self, wrong: Flags) -> Condition:  # noqa: ARG002
         """Condition with one incident direction of the samples that are `wrong`."""
-        del wrong
         return self
 
     def __str__(self) -> str:

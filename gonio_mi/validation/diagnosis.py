@@ -97,7 +97,7 @@ def likely_mistake(
     def rank(one: Question) -> tuple[bool, int, int]:
         """What explains others first, but for a law that a model may choose."""
         chosen = worst == MODEL and one.name == "delta"
-        return chosen, one.explains, EFFECTS.index(failed[one.name])
+        return chosen, one.rank, EFFECTS.index(failed[one.name])
 
     questions = [one for one in evidence.questions if one.name in failed]
     if not mi.is_polarized:
@@ -232,22 +232,12 @@ class _Counted:
         return self.maps.totals.counts / self.maps.totals.n
 
     @property
-    def due(self) -> Floats:
-        """Integral of ``pdf``, by patch."""
-        return self.maps.pdf
-
-    @property
-    def missing(self) -> float:
-        """Share of the samples that have no direction."""
-        return 1 - float(self.drawn.sum())
-
-    @property
     def sums(self) -> str:
         """Text on the integral of ``pdf`` and the share that it should equal."""
         share = self.drawn.sum()
         std_err = np.sqrt(max(share * (1 - share), 0) / self.maps.totals.n)
         return (
-            f"`pdf` integrates to {self.due.sum():.4f}, where it should equal the "
+            f"`pdf` integrates to {self.maps.pdf.sum():.4f}, where it should equal the "
             f"sampled mass of {share:.4f} +- {std_err:.1g} (std_err)"
         )
 
@@ -277,7 +267,7 @@ def _as_turned(counted: _Counted) -> Guess | None:
 
 def _outside(counted: _Counted) -> Guess | None:
     """Directions where ``pdf`` is 0."""
-    outside = counted.drawn[counted.due < 1e-6].sum()
+    outside = counted.drawn[counted.maps.pdf < 1e-6].sum()
     some = outside > 0.02 * counted.drawn.sum()
     return Diagnosis.OUTSIDE(SAMPLE, part=outside) if some else None
 
@@ -287,7 +277,7 @@ def _beside(counted: _Counted) -> Guess | None:
 
     ``eval`` is lit there: it is ``pdf`` only if no probability is left for that side.
     """
-    maps, drawn, due = counted.maps, counted.drawn, counted.due
+    maps, drawn, due = counted.maps, counted.drawn, counted.maps.pdf
     never = due.reshape(2, -1)[drawn.reshape(2, -1).sum(axis=1) == 0].sum()
     if never < 1e-3:
         return None
@@ -302,15 +292,16 @@ def _beside(counted: _Counted) -> Guess | None:
 
 def _lost(counted: _Counted) -> Guess | None:
     """Samples without a direction, where ``pdf`` leaves none out."""
-    complete = abs(_mass_of_pdf(counted.maps) - 1) < MAX_LOST < counted.missing
+    missing = 1 - float(counted.drawn.sum())
+    complete = abs(_mass_of_pdf(counted.maps) - 1) < MAX_LOST < missing
     if complete and counted.maps.count_scores.total < -5:
-        return Diagnosis.LOST(SAMPLE, part=counted.missing)
+        return Diagnosis.LOST(SAMPLE, part=missing)
     return None
 
 
 def _unnormalised(counted: _Counted) -> Guess | None:
     """A density with a constant factor, or of more than all."""
-    if counted.due.sum() > 1.001 or _is_proportional(counted.maps):
+    if counted.maps.pdf.sum() > 1.001 or _is_proportional(counted.maps):
         return Diagnosis.MASS(PDF, sums=counted.sums)
     return None
 

@@ -60,19 +60,20 @@ class Question:
 
     Attributes
     ----------
-    name, text : str
-        Text is what a BSDF should have.
+    name : str
+    text : str
+        What a BSDF should have: the first sentence of the module's docstring.
     effect : str
         Of a failure, unless its breach says otherwise: one of `EFFECTS`.
     integrators : str or dict of str
         That a failure reaches if it biases images or breaks integrators, or those by
         its effect; empty if that is not known.
-    of_volumes, of_matrices : str or None
+    volumes, matrices : str or None
         What a phase function, and all elements of a Mueller matrix, should have:
         nothing, or what is no other text than that of BSDFs if it is `SAME`.
-    of_surfaces : bool
-        Whether a BSDF is asked in an unpolarised variant.
-    explains : int
+    alone : bool
+        Whether only matrices are asked, in polarised variants.
+    rank : int
         The less, the more of the other failures it explains; of equal ones, what is
         printed first does.
     identity : bool
@@ -87,17 +88,21 @@ class Question:
     """
 
     name: str
-    text: str
+    text: str | None
     effect: str = BIAS
     integrators: str | Mapping[str, str] = ""
-    of_volumes: str | None = None
-    of_matrices: str | None = None
-    of_surfaces: bool = True
-    explains: int = 1
+    volumes: str | None = None
+    matrices: str | None = None
+    alone: bool = False
+    rank: int = 1
     identity: bool = False
     needed: bool = False
     explain: Callable[[Evidence], Guess | None] | None = None
     checks: dict[str, list[Callable[..., None]]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        text = str(self.text).partition("\n")[0].removesuffix(".")
+        object.__setattr__(self, "text", text[:1].lower() + text[1:])
 
     def asks(self, about: str) -> Callable[[Check], Check]:
         """Decorate one of its `checks`."""

@@ -5,8 +5,9 @@ And whether the weight of ``sample`` or ``eval`` is wrong, if anything tells.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import mitsuba as mi
 import numpy as np
@@ -245,7 +246,10 @@ def _find(ratios: Sequence[Ratio]) -> _Found | None:
         name: [factor(name, one.samples, one.mask) for one in ratios]
         for name in FACTORS
     }
-    for name, power, with_constant in _candidates():
+    # a constant may come with factors that vary
+    varying = [one for one in FACTORS if one not in (*NUMBERS, "component", "eta2")]
+    alone = product([False], FACTORS, (1, -1))
+    for with_constant, name, power in (*alone, *product([True], varying, (1, -1))):
         own = known[name]
         rests = [ratio.values / x**power for ratio, x in zip(ratios, own)]
         if _is_trivial(name, own):
@@ -257,15 +261,6 @@ def _find(ratios: Sequence[Ratio]) -> _Found | None:
         if with_constant and all(_is_one(rest / constant) for rest in rests):
             return _Found(name, power, constant)
     return None
-
-
-def _candidates() -> Iterator[tuple[str, int, bool]]:
-    """Factors, their powers, and whether a constant may come with them."""
-    for with_constant in (False, True):
-        for name in FACTORS:
-            if not (with_constant and name in (*NUMBERS, "component", "eta2")):
-                yield name, 1, with_constant
-                yield name, -1, with_constant
 
 
 def _is_trivial(name: str, values: Sequence[Floats]) -> bool:

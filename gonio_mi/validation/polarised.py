@@ -16,13 +16,7 @@ from ..array_types import Flags, Floats, Integers, Numbers
 from ..collector.directions import angles, direction
 from ..collector.stokes import UPRIGHT, plane_axis
 from ..instrument.loading import loaded
-from .checks import (
-    energy,
-    first_element,
-    frames,
-    matrices,
-    realisable,
-)
+from .checks import energy, first_element, frames, matrices, realisable
 from .conditions import PLACES, sides_of
 from .evidence import Evidence
 from .mueller import (

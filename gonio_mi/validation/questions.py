@@ -32,23 +32,23 @@ QUESTIONS = (
 )
 
 # Those about a BSDF in unpolarised variants.
-OF_SURFACES = tuple(one for one in QUESTIONS if one.of_surfaces)
+OF_SURFACES = tuple(one for one in QUESTIONS if not one.alone)
 
 # In polarised ones, of Mueller matrices.
 OF_MATRICES = tuple(
-    replace(one, text=one.of_matrices or one.text, identity=False, explain=None)
+    replace(one, text=one.matrices or one.text, identity=False, explain=None)
     for one in QUESTIONS
-    if one.of_matrices is not None
+    if one.matrices is not None
 )
 
 # Of phase functions, whose `eval_pdf` answers what is called `eval` and `pdf`.
 OF_VOLUMES = tuple(
-    replace(one, text=one.of_volumes or one.text)
+    replace(one, text=one.volumes or one.text)
     for one in QUESTIONS
-    if one.of_volumes is not None
+    if one.volumes is not None
 )
 
 PROPERTIES, POLARISED, PHASE = (
-    {one.name: one.text for one in questions}
+    {one.name: str(one.text) for one in questions}
     for questions in (OF_SURFACES, OF_MATRICES, OF_VOLUMES)
 )

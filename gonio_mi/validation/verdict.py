@@ -30,13 +30,7 @@ DECIDED_BY = {
 
 # Attributes of a property as they stand in JSON.
 REPORTED = (
-    "name",
-    "status",
-    "statistic",
-    "mistake",
-    "function",
-    "p_value",
-    "effect",
+    *("name", "status", "statistic", "mistake", "function", "p_value", "effect"),
     "share",
 )
 
@@ -344,7 +338,7 @@ def properties_of(
         reached = question.reached(one.effect)
         if evidence.of_volumes:
             reached = VOLUMETRIC if one.effect in (BIAS, BREAKS) else ""
-        one = replace(one, question=question.text, needed=question.needed)
+        one = replace(one, question=str(question.text), needed=question.needed)
         fixed = replace(one, of_volumes=evidence.of_volumes, integrators=reached)
         found.append(fixed)
     return found

@@ -17,12 +17,12 @@ from .reciprocity import BothWays, is_constant, ratio_text
 
 ADJOINT = Question(
     "adjoint",
-    "radiance and importance mode are adjoint to each other",
+    __doc__,
     BREAKS,
     # if importance mode is right and radiance mode is not
     {BREAKS: FROM_LIGHTS, BIAS: "path and all that trace rays from the sensor"},
-    of_matrices="radiance and importance mode are adjoint, in all elements",
-    explains=2,
+    matrices="radiance and importance mode are adjoint, in all elements",
+    rank=2,
 )
 
 

@@ -1,4 +1,4 @@
-"""Answers of each function: finite, non-negative and repeatable."""
+"""All functions answer, with finite values of at least 0."""
 
 from __future__ import annotations
 
@@ -22,12 +22,13 @@ from ..samples import Samples, beyond_rounding, unequal
 
 ANSWERS = Question(
     "answers",
-    "all functions answer, with finite values of at least 0",
-    integrators=ALL,
-    of_volumes="both functions answer, with finite values of at least 0; `eval` and "
+    __doc__,
+    BIAS,
+    ALL,
+    volumes="both functions answer, with finite values of at least 0; `eval` and "
     "`pdf` are the answers of `eval_pdf`",
-    explains=0,
-    of_matrices="all functions answer, with finite matrices",
+    rank=0,
+    matrices="all functions answer, with finite matrices",
 )
 
 
@@ -49,13 +50,8 @@ class Answers(Mistake):
 
 # Properties that hold unless two functions contradict each other.
 AGREEMENTS = (
-    "directions",
-    "sampling",
-    "weights",
-    "sampled_pdf",
-    "sampled_weight",
-    "eval_pdf",
-    "eval_pdf_sample",
+    *("directions", "sampling", "weights", "sampled_pdf", "sampled_weight"),
+    *("eval_pdf", "eval_pdf_sample"),
 )
 
 # Directions of the lattice on the sphere.
@@ -69,13 +65,8 @@ OF_PLACE = {"sampled_weight": EVAL | SAMPLE, "sampled_pdf": SAMPLE | PDF}
 
 # What a lobe can be: names as in mi.BSDFFlags.
 LOBES = (
-    "Null",
-    "DiffuseReflection",
-    "DiffuseTransmission",
-    "GlossyReflection",
-    "GlossyTransmission",
-    "DeltaReflection",
-    "DeltaTransmission",
+    *("Null", "DiffuseReflection", "DiffuseTransmission", "GlossyReflection"),
+    *("GlossyTransmission", "DeltaReflection", "DeltaTransmission"),
 )
 
 # Relative difference of a reflectance that is the same.
@@ -268,8 +259,8 @@ def check_order(evidence: Evidence, samples: Samples) -> None:
     ):
         wrong = unequal(answer[::-1], due, slack) & samples.usable
         if beyond_rounding(wrong):
-            how = {"size": 2.0, "kind": Kind.OTHER_IN_ANOTHER_PLACE}
             guess = Answers.OF_ORDER(function)
+            how = {"size": 2.0, "kind": Kind.OTHER_IN_ANOTHER_PLACE}
             evidence.breach(ANSWERS, guess, samples, wrong, **how)
             return
 

@@ -1,4 +1,4 @@
-"""The components of a BSDF, each alone, against the whole."""
+"""Components add up to the whole."""
 
 from __future__ import annotations
 
@@ -16,13 +16,7 @@ from ..samples import Samples, beyond_rounding, unequal
 from .answers import LOBES
 from .flags import DECLARED
 
-COMPONENTS = Question(
-    "components",
-    "components add up to the whole",
-    INTERFACE,
-    of_volumes=SAME,
-    explains=3,
-)
+COMPONENTS = Question("components", __doc__, INTERFACE, volumes=SAME, rank=3)
 
 
 class Components(Mistake):

@@ -1,4 +1,4 @@
-"""No jump at normal incidence, and nothing black before the horizon."""
+"""No jump at normal incidence, nothing black before the horizon."""
 
 from __future__ import annotations
 
@@ -13,9 +13,7 @@ from ..mistakes import EVAL, PDF, Mistake
 from ..probe import Probe, spectral, uniform, vectors
 from ..samples import ULPS, Samples
 
-CONTINUITY = Question(
-    "continuity", "no jump at normal incidence, nothing black before the horizon", MODEL
-)
+CONTINUITY = Question("continuity", __doc__, MODEL)
 
 
 class Continuity(Mistake):

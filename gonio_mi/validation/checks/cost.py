@@ -1,4 +1,4 @@
-"""Cost of a call: recompiled kernels, values asked for in loops, and the time per ray.
+"""Repeated calls compile no kernel.
 
 None is ever a failure. Compiling a kernel takes thousands of times as long as
 running it on a small batch; a plugin causes that if it bakes a Python number that
@@ -21,7 +21,7 @@ from ..evidence import COST, INTERFACE, SAME, Evidence, Question
 from ..probe import Probe, uniform
 from ..samples import Samples, samples_of
 
-CALLS = Question("cost", "repeated calls compile no kernel", INTERFACE, of_volumes=SAME)
+CALLS = Question("cost", __doc__, INTERFACE, volumes=SAME)
 
 # Rays of a call, and turns in which a plugin and one of Mitsuba's own take it.
 N_RAYS = 2**19

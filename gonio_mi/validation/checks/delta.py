@@ -1,4 +1,4 @@
-"""Discrete lobes: one direction each, one weight, and their own probability."""
+"""Discrete lobes have one direction, weight and probability."""
 
 from __future__ import annotations
 
@@ -10,18 +10,13 @@ from scipy import special
 
 from ...array_types import Flags, Floats
 from ...single_precision import BSDF_ROUNDING
-from ..evidence import MODEL, SAMPLED, Evidence, Question
+from ..evidence import BIAS, MODEL, SAMPLED, Evidence, Question
 from ..kinds import Kind
 from ..mistakes import SAMPLE, Function, Mistake
 from ..probe import Probe
 from ..samples import Samples, beyond_rounding
 
-DELTA = Question(
-    "delta",
-    "discrete lobes have one direction, weight and probability",
-    integrators=SAMPLED,
-    explains=0,
-)
+DELTA = Question("delta", __doc__, BIAS, SAMPLED, rank=0)
 
 
 class Delta(Mistake):

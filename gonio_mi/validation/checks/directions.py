@@ -1,4 +1,4 @@
-"""Sampled directions: unit vectors, on the side and of the type of their record."""
+"""Sampled directions are unit vectors on the side of their type."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from ...array_types import Flags
 from ...single_precision import BSDF_ROUNDING
-from ..evidence import INTERFACE, NOISE, SAMPLED, Evidence, Question
+from ..evidence import BIAS, INTERFACE, NOISE, SAMPLED, Evidence, Question
 from ..kinds import Kind
 from ..mistakes import SAMPLE, Mistake
 from ..samples import Samples, beyond_rounding, unequal
@@ -17,10 +17,11 @@ from .reciprocity import MAX_OFF, BothWays, is_constant
 
 DIRECTIONS = Question(
     "directions",
-    "sampled directions are unit vectors on the side of their type",
-    integrators=SAMPLED,
-    of_volumes="sampled directions are unit vectors",
-    explains=0,
+    __doc__,
+    BIAS,
+    SAMPLED,
+    volumes="sampled directions are unit vectors",
+    rank=0,
 )
 
 

@@ -1,4 +1,4 @@
-"""Ends of the domain: horizon and normal, first and last random numbers, limits."""
+"""Finite at the ends: horizon, normal, random numbers, roughness."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ...collector.directions import direction
 from ...single_precision import BSDF_ROUNDING
 from ...transport.bsdf_trial import PluginFault
 from ..conditions import Condition
-from ..evidence import INTERFACE, SAME, Evidence, Question
+from ..evidence import BIAS, INTERFACE, SAME, Evidence, Question
 from ..kinds import Kind
 from ..mistakes import EVAL, PDF, SAMPLE, Function, Mistake
 from ..probe import (
@@ -27,11 +27,7 @@ from ..probe import (
 from .answers import example, improper
 
 ENDS = Question(
-    "ends",
-    "finite at the ends: horizon, normal, random numbers, roughness",
-    integrators="all integrators, in single pixels",
-    of_volumes=SAME,
-    explains=3,
+    "ends", __doc__, BIAS, "all integrators, in single pixels", volumes=SAME, rank=3
 )
 
 

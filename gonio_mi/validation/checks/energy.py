@@ -1,4 +1,4 @@
-"""Reflectance plus transmittance is at most 1."""
+"""No more flux leaves than arrives."""
 
 from __future__ import annotations
 
@@ -19,9 +19,8 @@ from .components import Components
 class Energy(Mistake):
     """What is wrong with the flux that leaves."""
 
-    LOSES = "{who} loses light: {flux:.4g} of it leaves"
-    GAINS = "{who} gains light: {flux:.4g} of it leaves"
-    GAINS_OF = "{who} gains light: {found}"
+    LOSES = "{who} loses light: {found}"
+    GAINS = "{who} gains light: {found}"
     NOT_1 = "{who} integrates to {flux}, where a phase function has 1"
 
 
@@ -39,17 +38,17 @@ def _guess(evidence: Evidence) -> Guess:
         return of_lobes[0]
     function, most = SAMPLE if gains else EVAL, max(totals, default=1.0)
     if most < 1:  # a phase function, which absorbs nothing
-        return Energy.LOSES(function, flux=min(totals))
-    return Energy.GAINS(function, flux=most)
+        return Energy.LOSES(function, found=f"{min(totals):.4g} of it leaves")
+    return Energy.GAINS(function, found=f"{most:.4g} of it leaves")
 
 
 ENERGY = Question(
     "energy",
-    "no more flux leaves than arrives",
+    __doc__,
     MODEL,
-    of_volumes="`eval` integrates to 1",
+    volumes="`eval` integrates to 1",
     explain=_guess,
-    of_matrices="no more flux leaves than arrives, of any polarisation",
+    matrices="no more flux leaves than arrives, of any polarisation",
 )
 
 
@@ -131,7 +130,7 @@ def check_gain(evidence: Evidence, lobes: Lobes) -> None:
         p_value = float(special.stdtr(half - 1, -z))
         how = {
             "off": max(0.0, mean - 1),
-            "guess": Energy.GAINS_OF(function, found=text),
+            "guess": Energy.GAINS(function, found=text),
         }
         evidence.test(ENERGY, p_value, text, condition, **how)
 

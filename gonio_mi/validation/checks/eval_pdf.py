@@ -1,4 +1,4 @@
-"""``eval_pdf`` and ``eval_pdf_sample`` against the separate functions."""
+"""`eval_pdf` answers as `eval` and `pdf`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import mitsuba as mi
 import numpy as np
 
 from ...single_precision import BSDF_ROUNDING
-from ..evidence import INTERFACE, SAME, Evidence, Question
+from ..evidence import BIAS, INTERFACE, SAME, Evidence, Question
 from ..kinds import Kind
 from ..mistakes import Function, Mistake
 from ..probe import Probe, numbers, spectral, vectors
@@ -14,15 +14,13 @@ from ..samples import Samples, beyond_rounding, ratio_of, unequal
 from .answers import lattice
 
 EVAL_PDF = Question(
-    "eval_pdf",
-    "`eval_pdf` answers as `eval` and `pdf`",
-    integrators="path, direct, volpathmis, prb",
-    of_matrices=SAME,
+    "eval_pdf", __doc__, BIAS, "path, direct, volpathmis, prb", matrices=SAME
 )
 EVAL_PDF_SAMPLE = Question(
     "eval_pdf_sample",
     "`eval_pdf_sample` answers as the separate functions",
-    integrators="path",
+    BIAS,
+    "path",
     # a mistake of eval_pdf explains both
     explain=lambda evidence: next(
         (one.guess for one in evidence.of("eval_pdf")),

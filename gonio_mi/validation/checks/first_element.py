@@ -1,4 +1,4 @@
-"""The first element of a matrix is the answer of the unpolarised variant."""
+"""The first element is the answer without polarisation."""
 
 from __future__ import annotations
 
@@ -13,19 +13,14 @@ from ...errors import SettingError
 from ...transport.bsdf_trial import PluginFault
 from ...transport.variants import unpolarised
 from ..conditions import Condition
-from ..evidence import POLARISING, SAME, Evidence, Question
+from ..evidence import BIAS, POLARISING, SAME, Evidence, Question
 from ..mistakes import Mistake
 from ..mueller import Lobes, Matrices
 from ..probe import Probe, floats, numbers, random_numbers, spectral, vectors
 from ..samples import beyond_rounding
 
 FIRST_ELEMENT = Question(
-    "first_element",
-    "the first element is the answer without polarisation",
-    integrators=POLARISING,
-    explains=3,
-    of_surfaces=False,
-    of_matrices=SAME,
+    "first_element", __doc__, BIAS, POLARISING, rank=3, alone=True, matrices=SAME
 )
 
 

@@ -1,4 +1,4 @@
-"""The flags that a plugin declares, against the observed behaviour."""
+"""Flags declare the observed behaviour."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from .answers import LOBES
 
 DECLARED = Question(
     "flags",
-    "flags declare the observed behaviour",
+    __doc__,
     INTERFACE,
     "path, direct, volpath, prb: no light is sampled without a smooth lobe",
-    of_volumes=SAME,
-    explains=2,
+    volumes=SAME,
+    rank=2,
 )
 
 

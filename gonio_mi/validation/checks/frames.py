@@ -1,4 +1,4 @@
-"""Frames: matrices turn with the directions, smoothly and over the whole sphere."""
+"""Matrices turn with the directions, without jumps."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from ...array_types import Flags, Floats, Numbers
 from ...collector.stokes import plane_axis, reframed, turn
 from ..conditions import TURN
-from ..evidence import POLARISING, SAME, Evidence, Question
+from ..evidence import BIAS, POLARISING, SAME, Evidence, Question
 from ..kinds import MatrixKind
 from ..mistakes import EVAL, Mistake
 from ..mueller import Matrices, Reading, is_identity, off, per_light, readings
@@ -19,12 +19,7 @@ from ..samples import beyond_rounding
 from .matrices import ROUNDING
 
 FRAMES = Question(
-    "frames",
-    "matrices turn with the directions, without jumps",
-    integrators=POLARISING,
-    explains=0,
-    of_surfaces=False,
-    of_matrices=SAME,
+    "frames", __doc__, BIAS, POLARISING, rank=0, alone=True, matrices=SAME
 )
 
 

@@ -1,4 +1,4 @@
-"""Masks: inactive rays get 0, active ones the same as without a mask."""
+"""Inactive rays carry no light, active ones the same as without a mask."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from ..samples import samples_of, unequal
 
 MASKS = Question(
     "masks",
-    "inactive rays carry no light, active ones the same as without a mask",
+    __doc__,
     INTERFACE,
-    of_volumes="active rays get the same as without a mask",
-    explains=2,
+    volumes="active rays get the same as without a mask",
+    rank=2,
 )
 
 

@@ -1,8 +1,8 @@
-"""Parameters of a BSDF, as ``mi.traverse`` finds them, and gradients by them."""
+"""`traverse` answers; gradients of `eval` are its changes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import drjit as dr
@@ -33,11 +33,11 @@ from .consistency import check_sweep
 
 PARAMETERS = Question(
     "parameters",
-    "`traverse` answers; gradients of `eval` are its changes",
+    __doc__,
     BREAKS,
     "prb and all that change or differentiate parameters",
-    of_volumes=SAME,
-    explains=3,
+    volumes=SAME,
+    rank=3,
 )
 
 
@@ -88,8 +88,11 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
         usable = samples.smooth & np.isfinite(samples.eval).all(axis=1)
         if usable.any() and hasattr(dr, "enable_grad") and "_ad_" in mi.variant():
             wo = vectors(samples.wo[usable])
-            for name in _differentiable(params, values):
-                _check_gradient(evidence, samples.condition, params, name, wo)
+            for name, value in values.items():
+                fixed = params.flags(name) & mi.ParamFlags.NonDifferentiable.value
+                # not at 0, where most ranges end and a lobe may vanish
+                if not fixed and np.array(value).any():
+                    _check_gradient(evidence, samples.condition, params, name, wo)
     except PluginFault as fault:
         # images need none of it
         effect = INTERFACE if fault.function == "traverse" else ""
@@ -293,17 +296,6 @@ def _stale(before: Samples, found: Evidence) -> Function:
             return PDF
         return SAMPLE if still[before.usable].all() else SAMPLE | PDF
     return next(b.guess.functions for b in found.breaches if b.effect == BIAS)
-
-
-def _differentiable(params: Any, values: dict[str, Any]) -> Iterator[str]:
-    """Names of numbers, colours and tables that have gradients where they are.
-
-    Not at 0, where most ranges end and a lobe may vanish.
-    """
-    for name, value in values.items():
-        fixed = params.flags(name) & mi.ParamFlags.NonDifferentiable.value
-        if not fixed and np.array(value).any():
-            yield name
 
 
 def _check_gradient(

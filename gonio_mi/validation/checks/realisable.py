@@ -1,4 +1,4 @@
-"""Realisability: each Mueller matrix is a sum of Mueller-Jones matrices."""
+"""Each matrix is that of a real surface (Cloude)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from ...array_types import Flags, Floats
 from ...collector.stokes import coherency_eigenvalues
-from ..evidence import POLARISING, SAME, Evidence, Question
+from ..evidence import BIAS, POLARISING, SAME, Evidence, Question
 from ..mistakes import Function, Guess, Mistake
 from ..mueller import Matrices, per_light
 from ..samples import beyond_rounding
@@ -17,12 +17,13 @@ ROUNDING = 5e-4
 
 REALISABLE = Question(
     "realisable",
-    "each matrix is that of a real surface (Cloude)",
-    integrators=POLARISING,
-    explains=0,
+    __doc__,
+    BIAS,
+    POLARISING,
+    rank=0,
     needed=True,
-    of_surfaces=False,
-    of_matrices=SAME,
+    alone=True,
+    matrices=SAME,
 )
 
 

@@ -1,4 +1,4 @@
-"""Reciprocity of ``eval`` and of each discrete lobe."""
+"""Source and detector can be exchanged, with a factor eta^2."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from .delta import DIRECTION_ROUNDING, Lobe
 
 RECIPROCITY = Question(
     "reciprocity",
-    "source and detector can be exchanged, with a factor eta^2",
+    __doc__,
     MODEL,
     {BIAS: ALL, BREAKS: FROM_LIGHTS},
-    of_volumes="source and detector can be exchanged",
-    of_matrices="source and detector can be exchanged, in all elements",
-    explains=2,
+    volumes="source and detector can be exchanged",
+    matrices="source and detector can be exchanged, in all elements",
+    rank=2,
 )
 
 

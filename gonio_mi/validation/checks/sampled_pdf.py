@@ -1,18 +1,13 @@
-"""The pdf that ``sample`` returns, against ``pdf``."""
+"""The pdf that `sample` returns is that of `pdf`."""
 
 from __future__ import annotations
 
-from ..evidence import COMBINED, SAME, Evidence, Question
+from ..evidence import BIAS, COMBINED, SAME, Evidence, Question
 from ..mistakes import SAMPLE, Mistake
 from ..samples import Samples, ratio_of, unequal
 
 SAMPLED_PDF = Question(
-    "sampled_pdf",
-    "the pdf that `sample` returns is that of `pdf`",
-    integrators=COMBINED,
-    of_volumes=SAME,
-    identity=True,
-    of_matrices=SAME,
+    "sampled_pdf", __doc__, BIAS, COMBINED, volumes=SAME, identity=True, matrices=SAME
 )
 
 

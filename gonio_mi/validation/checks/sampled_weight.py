@@ -1,11 +1,11 @@
-"""Weight times pdf, against ``eval``."""
+"""Weight times pdf is `eval`."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ...array_types import Flags, Floats
-from ..evidence import INTERFACE, SAME, SAMPLED, Evidence, Question
+from ..evidence import BIAS, INTERFACE, SAME, SAMPLED, Evidence, Question
 from ..mistakes import SAMPLE, Mistake
 from ..samples import (
     MAX_SEARCHED,
@@ -18,11 +18,12 @@ from ..samples import (
 
 SAMPLED_WEIGHT = Question(
     "sampled_weight",
-    "weight times pdf is `eval`",
-    integrators=SAMPLED,
-    of_volumes=SAME,
+    __doc__,
+    BIAS,
+    SAMPLED,
+    volumes=SAME,
     identity=True,
-    of_matrices="weight times pdf is `eval`, in all elements",
+    matrices="weight times pdf is `eval`, in all elements",
 )
 
 

@@ -1,4 +1,4 @@
-"""Counted directions against the integral of ``pdf``, by patch and in total."""
+"""Directions are drawn with the density of `pdf`."""
 
 from __future__ import annotations
 
@@ -24,12 +24,7 @@ from .answers import lattice
 from .weights import WEIGHTS, check_scores
 
 SAMPLING = Question(
-    "sampling",
-    "directions are drawn with the density of `pdf`",
-    integrators=COMBINED,
-    of_volumes=SAME,
-    identity=True,
-    needed=True,
+    "sampling", __doc__, BIAS, COMBINED, volumes=SAME, identity=True, needed=True
 )
 
 

@@ -1,11 +1,11 @@
-"""Sampled weights against the integral of ``eval``, by patch and in total."""
+"""The mean of sampled weights is the integral of `eval`."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ..conditions import Condition
-from ..evidence import NOISE, SAME, SAMPLED, Evidence, Question
+from ..evidence import BIAS, NOISE, SAME, SAMPLED, Evidence, Question
 from ..integrals import SUM_ERROR
 from ..kinds import Kind
 from ..maps import FourMaps, unexplained_fraction
@@ -15,12 +15,7 @@ from ..samples import Samples, beyond_rounding
 from .answers import lattice
 
 WEIGHTS = Question(
-    "weights",
-    "the mean of sampled weights is the integral of `eval`",
-    integrators=SAMPLED,
-    of_volumes=SAME,
-    identity=True,
-    needed=True,
+    "weights", __doc__, BIAS, SAMPLED, volumes=SAME, identity=True, needed=True
 )
 
 
