@@ -217,8 +217,7 @@ def _bsdf(specimen: SpecimenLike) -> tuple[mi.BSDF, str, str | None]:
 
 def _examine(evidence: Evidence, plan: Effort, name: str, progress: bool) -> None:
     """Run all checks with a progress bar."""
-    said = f"validate {name}"
-    with bar(progress, total=N_STEPS, desc=said, unit="step") as report:
+    with bar(progress, total=N_STEPS, desc=f"validate {name}", unit="step") as report:
         for step in _steps(evidence, plan):
             if report is not None:
                 report(step)

@@ -50,9 +50,6 @@ NUMBERS = (0.0, 0.5, LAST)
 # Names of parameters that are a roughness, and the limits to try.
 LIMITS = dict.fromkeys(("alpha", "alpha_u", "alpha_v", "roughness"), (1e-3, 1.0))
 
-# The same of a phase function.
-LIMITS_OF_VOLUMES = {"g": (-0.999, 0.999)}
-
 
 def _check_ends(evidence: Evidence, where: str = "") -> None:
     """Check that all functions are finite and at least 0 at the ends of their domain.
@@ -82,7 +79,7 @@ def check_bsdf(evidence: Evidence) -> None:
         _, params = number_parameters(evidence.bsdf)
     except PluginFault:
         return  # a property of its own
-    limits = LIMITS_OF_VOLUMES if evidence.of_volumes else LIMITS
+    limits = {"g": (-0.999, 0.999)} if evidence.of_volumes else LIMITS
     own = {
         key: limits[last]
         for key, value in params.items()

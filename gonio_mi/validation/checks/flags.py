@@ -206,8 +206,8 @@ def _check_isotropic(evidence: Evidence) -> None:
         return
     varies = np.ptp(values, axis=0).max() > 1e-3 * values.max()
     if declared & int(flags.Isotropic) and not declared & others and varies:
-        text = f"`eval` is {values.min():.4g} to {values.max():.4g}"
-        text = f"{text} at {samples.condition}"
+        text = f"`eval` is {values.min():.4g} to {values.max():.4g} at "
+        text += str(samples.condition)
         evidence.breach(DECLARED, Declared.NOT_ISOTROPIC(FLAGS), found=text)
     if not declared:
         evidence.breach(DECLARED, Declared.NOTHING(FLAGS), found="flags are 0")
