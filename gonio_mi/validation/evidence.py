@@ -84,7 +84,8 @@ class Question:
         Takes the evidence and guesses what is wrong, where it is not the worst breach.
     checks : dict of list
         Functions that take the evidence, by when :meth:`Evidence.ask` calls them:
-        about ``"samples"`` or ``"maps"`` of one condition, or about the ``"bsdf"``.
+        about ``"samples"`` or ``"maps"`` of one condition, about the ``"bsdf"``, or
+        after these about other ``"parameters"``, to which some plugins do not return.
     """
 
     name: str
@@ -248,7 +249,7 @@ class Evidence:
         return hasattr(self.bsdf, "phase_function")
 
     def ask(self, about: str, *given: Samples | FourMaps) -> None:
-        """Call all checks about samples, maps, or the BSDF, by order of questions."""
+        """Call all checks about something, by order of questions."""
         for question in self.questions:
             for check in question.checks.get(about, ()):
                 check(self, *given)

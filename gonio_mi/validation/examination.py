@@ -247,6 +247,7 @@ def _steps(evidence: Evidence, plan: Effort) -> Iterator[float]:
     answers.check_albedo(evidence)
     parameters.check_samples(evidence, _brightest(evidence))
     explain_reciprocity(evidence)
+    evidence.ask("parameters")
     yield from _check_maps(evidence, plan, sides, components)
     parameters.check_changes(evidence, plan, sides)
     if plan is not Effort.named("quick"):

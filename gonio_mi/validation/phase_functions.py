@@ -131,6 +131,7 @@ def examine_phase_function(evidence: Evidence, plan: Effort, effort: str) -> Non
     check_again(evidence, plan, sides)
     evidence.ask("bsdf")
     parameters.check_samples(evidence, evidence.samples[1])
+    evidence.ask("parameters")
     _check_maps(evidence, plan, MAPPED[effort])
     parameters.check_changes(evidence, plan, sides)
     cost.check_recorded(evidence, ASKED[1])

@@ -71,7 +71,7 @@ def _check_ends(evidence: Evidence, where: str = "") -> None:
             evidence.breach(ENDS, guess, found=place, **how)
 
 
-@ENDS.asks("bsdf")
+@ENDS.asks("parameters")
 def check_bsdf(evidence: Evidence) -> None:
     """Check the ends, and again at limits of parameters."""
     _check_ends(evidence)

@@ -13,7 +13,6 @@ from ..integrals import SUM_ERROR
 from ..maps import FourMaps
 from ..mistakes import EVAL, SAMPLE, Guess, Mistake
 from ..mueller import Lobes
-from .components import Components
 
 
 class Energy(Mistake):
@@ -29,13 +28,9 @@ def _guess(evidence: Evidence) -> Guess:
     discrete = [m.totals.delta_mean.max() for m in evidence.maps]
     totals = [m.smooth_flux.max() + x for m, x in zip(evidence.maps, discrete)]
     gains = max(discrete, default=0.0) > 1 + 1e-4
-    of_lobes = [
-        breach.guess
-        for breach in evidence.of("components")
-        if breach.guess.mistake is Components.OTHER_LOBE
-    ]
-    if of_lobes and any(discrete) and not gains:
-        return of_lobes[0]
+    own = [b.guess for b in evidence.of("components") if b.guess.functions is SAMPLE]
+    if own and any(discrete) and not gains:
+        return own[0]
     function, most = SAMPLE if gains else EVAL, max(totals, default=1.0)
     if most < 1:  # a phase function, which absorbs nothing
         return Energy.LOSES(function, found=f"{min(totals):.4g} of it leaves")
