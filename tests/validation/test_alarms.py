@@ -71,7 +71,7 @@ def alarms(name, specimen):
     return ""
 
 
-@pytest.mark.usefixtures("mono", "remembered")
+@pytest.mark.usefixtures("remembered")
 @pytest.mark.parametrize(
     "name", [name for name in right_bsdfs.RIGHT if SEEDS > 1 or name not in MORE]
 )
@@ -79,7 +79,7 @@ def test_right_plugins_pass(name):
     assert not alarms(name, right_bsdfs.RIGHT[name])
 
 
-@pytest.mark.usefixtures("mono", "remembered")
+@pytest.mark.usefixtures("remembered")
 def test_right_maps_pass():
     """Textures, maps of heights and normals, and what holds other BSDFs."""
     for name, specimen in right_bsdfs.textured().items():
