@@ -1,8 +1,48 @@
 # ruff: noqa: ARG002 (every method has Mitsuba's signature)
 """The base of BSDF plugins that tests define: a lobe of a value and of a density."""
 
+import types
+
 import drjit as dr
 import mitsuba as mi
+
+
+def lobes(*words):
+    """Components of flags by their names, as a property: flags need a variant."""
+
+    def flags(_):
+        return [
+            sum(int(getattr(mi.BSDFFlags, word)) for word in one.split())
+            for one in words
+        ]
+
+    return property(flags)
+
+
+def over(mixin, base):
+    """Class with the methods of `mixin` on `base`, whose ``super()`` is known.
+
+    Mitsuba's classes are those of a variant, and no second base may stand beside them.
+    """
+    for part in [one for one in reversed(mixin.__mro__) if one is not object]:
+        made = types.new_class(part.__name__, (base,))
+        for name, value in vars(part).items():
+            if isinstance(value, types.FunctionType):
+                cells = [
+                    types.CellType(made) if free == "__class__" else cell
+                    for free, cell in zip(
+                        value.__code__.co_freevars, value.__closure__ or ()
+                    )
+                ]
+                again = types.FunctionType(
+                    value.__code__, value.__globals__, name, None, tuple(cells) or None
+                )
+                again.__defaults__ = value.__defaults__
+                value = again
+            if name not in ("__dict__", "__weakref__"):
+                setattr(made, name, value)
+        base = made
+    return base
 
 
 def plain():
@@ -84,8 +124,13 @@ def changed(base, **changes):
     return {"type": "changed"}
 
 
+def name_of(plugin):
+    """Name of a class in small letters with underscores."""
+    letters = (f"_{c.lower()}" if c.isupper() else c for c in plugin.__name__)
+    return "".join(letters)[1:]
+
+
 def register(plugins):
     """Register classes under their names, in small letters with underscores."""
     for plugin in plugins:
-        name = "".join(f"_{c.lower()}" if c.isupper() else c for c in plugin.__name__)
-        mi.register_bsdf(name[1:], plugin)
+        mi.register_bsdf(name_of(plugin), plugin)
