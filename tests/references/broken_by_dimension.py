@@ -484,11 +484,11 @@ class BackwardWithWrongSign(GreyThrough):
     backward = -1.0
 
 
-@broken("gradients", "eval", "parameters", "gradients are NaN, values are not")
+@broken("gradients", "eval", "parameters", "forward gradients are NaN")
 class GradientNan(Grey):
     def value(self, ctx, si, wo):
         none = dr.sqrt(self.reflectance - dr.detach(self.reflectance))
-        return super().value(ctx, si, wo) * (1 + 0 * none)
+        return super().value(ctx, si, wo) * (1 + dr.opaque(mi.Float, 0.0) * none)
 
 
 # ---------------------------------------------------------------- lanes and state
