@@ -60,19 +60,19 @@ def pytest_xdist_make_scheduler(config, log):
 # Files whose tests take most of the time: -m "not slow" leaves them out.
 SLOW = """
     alarms annexes azimuth_symmetry benchmark bits blind_spots bsdf_files campaign
-    changes chart chi2 choice comparison cosines coverage created_light dark_light
-    daylight digest dispersion exit_profile exports extents file_safety files_radiance
-    first_mistakes fitting foreign_plugins foreign_verdicts free_standing fuzz glass
-    goniometric goniometric_files half_vectors handbook handbook_blocks heightfield
-    instances integrals intervals kernels lambertian ledger llvm lobes measured_like
-    media mesh_specimens micro_normals microgeometry mirror mirror_facets mueller
-    near_emitters next_event notebook_views notebooks numpy_bsdf order orders_together
-    orientation paper_bsdfs patch_variation periodic phase_functions phase_verdicts
-    places plane polar_cross_validation polarised porous pytest_entry quadrature
-    refused_settings reports reproducers rounds scenes short_bsdfs slabs sobol
-    spectral_coverage stacks stock stock_bsdfs surface_files surface_points suspects
-    tables tolerance_command transport types verdicts versions where_methods_fail
-    whole_bsdf workers
+    changes chart chi2 choice comparison corpora cosines coverage created_light
+    dark_light daylight digest dispersion exit_profile exports extents file_safety
+    files_radiance first_mistakes fitting foreign_plugins foreign_verdicts free_standing
+    fuzz glass goniometric goniometric_files half_vectors handbook handbook_blocks
+    heightfield instances integrals intervals kernels lambertian ledger llvm lobes
+    measured_like media mesh_specimens micro_normals microgeometry mirror mirror_facets
+    mueller near_emitters next_event notebook_views notebooks numpy_bsdf order
+    orders_together orientation paper_bsdfs patch_variation periodic phase_functions
+    phase_verdicts places plane polar_cross_validation polarised porous pytest_entry
+    quadrature refused_settings reports reproducers rounds scenes short_bsdfs slabs
+    sobol spectral_coverage stacks stock stock_bsdfs surface_files surface_points
+    suspects tables tolerance_command transport types verdicts versions
+    where_methods_fail whole_bsdf workers
 """
 
 

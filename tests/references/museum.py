@@ -44,7 +44,7 @@ def exhibit(thread, functions, properties, **options):
 
             def make(mended):
                 switched = type(made.__name__, (made,), {"mended": mended})
-                return mixins.load(mixins.Declaration(switched, *[""] * 4, kind))
+                return mixins.load(mixins.Declaration(switched, "", "", "", kind=kind))
 
         EXHIBITS[name] = Exhibit(thread, functions, properties, make, **options)
         return made
@@ -263,9 +263,9 @@ def directions_exchanged(mended):
     """`f` and `PDF` take wi for wo; f is symmetric, so that the density suffers."""
 
     def exchanged(wi, wo):
-        return gloss_density(wo, wi)
+        return cosine_density(wo, wi)
 
-    return made(glossy, gloss, gloss_density, pdf=None if mended else exchanged)
+    return made(cosine, matte, cosine_density, pdf=None if mended else exchanged)
 
 
 @exhibit("RayTracing/raytracing.github.io#933", "sample pdf", "sampling")

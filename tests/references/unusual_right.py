@@ -11,7 +11,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from broken_by_dimension import Coat, Metal, Spectral, Textured, Veil
+from broken_by_dimension import Coat, Metal, Spectral, Textured, Veil, odd
 from plain_bsdf import lobes, name_of, over, plain
 
 
@@ -241,8 +241,8 @@ class ByTriangle:
     components = lobes("DiffuseReflection FrontSide SpatiallyVarying")
 
     def value(self, ctx, si, wo):
-        odd = si.prim_index % 2 == 1
-        return super().value(ctx, si, wo) * dr.select(odd, 0.25, 1.0)
+        own = si.prim_index % 2 == 1
+        return super().value(ctx, si, wo) * dr.select(own, 0.25, 1.0)
 
 
 @unusual()
@@ -276,5 +276,4 @@ class GauzeOfChecks(Veil):
     """Its holes are those of a texture, in all functions."""
 
     def gap(self, si):
-        odd = dr.floor(2 * si.uv.x) - 2 * dr.floor(si.uv.x) == 1
-        return dr.select(odd, 0.4, mi.Float(0.1))
+        return dr.select(odd(2 * si.uv.x), 0.4, mi.Float(0.1))
