@@ -52,11 +52,6 @@ def exhibit(thread, functions, properties, **options):
     return enter
 
 
-def load(one, mended):
-    """BSDF, or dictionary of a plugin, for the variant that is set."""
-    return one.make(mended)
-
-
 # ----------------------------------------------------------- parts of right models
 
 
@@ -102,6 +97,7 @@ def mirrored(wi, h):
 
 
 ALPHA = 0.3
+DOWN = np.array([1.0, 1.0, -1.0])
 
 
 def facets(h, alpha=ALPHA):
@@ -121,19 +117,10 @@ def shadowing(wi, wo, alpha=ALPHA):
 
 
 def visible(wi, u, alpha=ALPHA):
-    """Normals of facets that are seen from wi (Heitz 2018)."""
+    """Normals of facets that are seen from wi (Dupuy and Benyoub 2023)."""
     stretched = unit(wi * [alpha, alpha, 1])
-    flat = np.hypot(stretched[:, 0], stretched[:, 1])[:, None]
-    x, y, _ = stretched.T
-    first = np.where(flat > 1e-6, np.stack([-y, x, 0 * x], 1) / np.fmax(flat, 1e-6), 0)
-    first[flat[:, 0] <= 1e-6, 0] = 1
-    second = np.cross(stretched, first)
-    r, phi = np.sqrt(u[:, 1]), 2 * np.pi * u[:, 2]
-    a, s = r * np.cos(phi), 0.5 * (1 + stretched[:, 2])
-    b = (1 - s) * np.sqrt(1 - a * a) + s * r * np.sin(phi)
-    c = np.sqrt(np.maximum(1 - a * a - b * b, 0))
-    h = a[:, None] * first + b[:, None] * second + c[:, None] * stretched
-    return unit(h * [alpha, alpha, 1])
+    z = (1 - u[:, 1]) * (1 + stretched[:, 2]) - stretched[:, 2]
+    return unit((polar(z, 2 * np.pi * u[:, 2]) + stretched) * [alpha, alpha, 1])
 
 
 def gloss(wi, wo, shade=shadowing, alpha=ALPHA):
@@ -183,8 +170,7 @@ def made(direction, value, density, *, weighed=None, pdf=None, lit=above, **side
 
 def face(wi, sides=True):
     """Factors that turn z to the side of the light."""
-    turns = np.where((wi[:, 2:] < 0) & bool(sides), -1.0, 1.0)
-    return np.concatenate([turns**2, turns**2, turns], axis=1)
+    return np.where((wi[:, 2:] < 0) & bool(sides), DOWN, 1.0)
 
 
 def two_lobes(share, drawn_share=None, diffuse=0.5, pdf_share=None):
@@ -207,42 +193,28 @@ def two_lobes(share, drawn_share=None, diffuse=0.5, pdf_share=None):
     )
 
 
-def below(wi, wo):
-    """Whether light passes, from the front."""
-    return (wi[:, 2] > 0) & (wo[:, 2] < 0)
-
-
-def sheet(reflects, drawn=None, claimed=None):
-    """Scatters evenly to both sides; `reflects` is the fraction that stays.
-
-    It is drawn and claimed by `pdf` with that, or other, probabilities.
-    """
-    drawn, claimed = drawn or reflects, claimed or (reflects, 1 - reflects)
-
-    def direction(wi, u):
-        z = np.where(u[:, :1] < drawn, 1.0, -1.0)
-        return cosine(wi, u) * np.concatenate([z**2, z**2, z], axis=1)
-
-    def split(shares):
-        return lambda wi, wo: np.where(wo[:, 2] > 0, *shares) * cosine_density(wi, wo)
-
-    return made(
-        direction,
-        split((reflects, 1 - reflects)),
-        split(claimed),
-        lit=lambda wi, wo: wi[:, 2] > 0,
-        transmits=True,
-    )
-
-
 # ------------------------------------------------------------------------ exhibits
 
 
 @exhibit("AcademySoftwareFoundation/OpenShadingLanguage#2158", "sample pdf", "sampling")
 def lobe_by_the_brightest_colour(mended):
     """Lobes are drawn by the largest of F, and weighed by the largest of 1 - F."""
-    reflects = np.mean([0.2, 0.5, 0.8])
-    return sheet(reflects) if mended else sheet(reflects, 0.8, (0.8, 0.8))
+    f = np.array([0.2, 0.5, 0.8])
+    drawn, passes = (f.mean(), 1 - f.mean()) if mended else (f.max(), 1 - f.min())
+
+    def direction(wi, u):
+        return cosine(wi, u) * np.where(u[:, :1] < drawn, 1.0, DOWN)
+
+    def lobes(up, down):
+        return lambda wi, wo: np.where(wo[:, 2] > 0, up, down) * cosine_density(wi, wo)
+
+    return made(
+        direction,
+        lobes(f.mean(), 1 - f.mean()),
+        lobes(drawn, passes),
+        lit=lambda wi, wo: wi[:, 2] > 0,
+        transmits=True,
+    )
 
 
 @exhibit("gkjohnson/three-gpu-pathtracer#847", "pdf", "sampled_pdf sampling")
@@ -326,18 +298,18 @@ def half_vector_of_transmission(mended):
     """Transmitted directions get the half vector of another interface."""
 
     def through(function):
-        return lambda wi, x: function(wi, x * [1, 1, -1])
+        return lambda wi, wo: function(wi, wo * DOWN)
 
     def pdf(wi, wo):
         h = unit(wi + 1.3 * wo)
         return facets(h) * masking(wi) / (4 * np.maximum(wi[:, 2], 1e-9))
 
     return made(
-        lambda wi, u: glossy(wi, u) * [1, 1, -1],
+        lambda wi, u: glossy(wi, u) * DOWN,
         through(gloss),
         through(gloss_density),
         pdf=through(gloss_density if mended else pdf),
-        lit=below,
+        lit=lambda wi, wo: (wi[:, 2] > 0) & (wo[:, 2] < 0),
         transmits=True,
     )
 
