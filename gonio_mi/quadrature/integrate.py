@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -152,7 +151,10 @@ def integrate(
     theta_i: float,
     phi_i: float,
     subdivision: Subdivision,
-    **how: Any,
+    *,
+    integral_err: float = 1e-6,
+    side: str = "front",
+    interaction: mi.SurfaceInteraction3f | None = None,
 ) -> PatchIntegrals:
     """Integrate ``eval`` of a BSDF over every patch of both hemispheres.
 
@@ -172,13 +174,11 @@ def integrate(
         Incident direction in degrees, `theta_i` from the normal of the lit face.
     subdivision : Subdivision
     integral_err : float
-        Tolerated error of each patch, 1e-6 unless given: relative to the patch, or,
-        where that is more, to the same part of the mean over all patches, at least a
-        millionth of it.
+        Tolerated error of each patch, relative to the patch, or, where that is more,
+        to the same part of the mean over all patches, at least a millionth of it.
         Single precision of ``eval`` limits it to about 1e-6 for smooth BSDFs, and more
         for sharp lobes.
     side : {"front", "back"}
-        The front unless given.
     interaction : mi.SurfaceInteraction3f, optional
         Point and frame of the surface. Default: the middle of a square with its normal
         along +z.
@@ -192,7 +192,14 @@ def integrate(
     SpecimenError
         If it does not converge, or a value is negative or not finite.
     """
-    (found,) = integrate_each(bsdf, [(theta_i, phi_i)], subdivision, **how)
+    (found,) = integrate_each(
+        bsdf,
+        [(theta_i, phi_i)],
+        subdivision,
+        integral_err=integral_err,
+        side=side,
+        interaction=interaction,
+    )
     return found
 
 
