@@ -6,7 +6,6 @@ azimuth, whose p-values are added up (Bonferroni), not as if independent.
 
 from contextlib import suppress
 
-import budget
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -154,7 +153,9 @@ def test_channels(rgb):  # noqa: ARG001
     stack = split(grooves(30, 1, bsdf=bsdf), [(30.0, 20.0)])
     rays = gonio.measure(grooves(30, 1, bsdf=bsdf), 30, 20, rays=2**16, **COMMON)
     error = np.hypot(stack.dhr_std_err[0], rays.dhr_std_err)
-    agree(budget.verdict((stack.dhr[0] - rays.dhr) / error))
+    z = (stack.dhr[0] - rays.dhr) / error
+    # of the same paths: the worst of three (Bonferroni), either way
+    agree(Verdict({"worst": float(min(1, 6 * stats.norm.sf(np.abs(z).max())))}, 3))
     assert np.all(np.abs(np.roll(stack.dhr[0], 1) - rays.dhr) > 10 * error)
 
 
