@@ -39,10 +39,13 @@ def several_threads():
 
 
 def test_threads_share_the_instrument():
-    """Exact: 40 measurements in four threads have the bits of one after the other."""
+    """Exact: 80 measurements in four threads have the bits of one after the other.
+
+    Without the lock 17 of 400 were wrong: of half as many, none in one run of five.
+    """
     ways = [SMALL | {"seed": seed, "trace": seed == 4} for seed in range(5)]
     alone = [gonio.measure(PLATE, 30, **way).tallies for way in ways]
-    todo = list(range(len(ways))) * 8
+    todo = list(range(len(ways))) * 16
     with ThreadPoolExecutor(4) as pool:
         found = pool.map(lambda i: gonio.measure(PLATE, 30, **ways[i]).tallies, todo)
     assert all(tallies == alone[i] for i, tallies in zip(todo, found))
