@@ -149,7 +149,7 @@ def recognised(name: str) -> Column | None:
     numbers = {word for word in words if word[0].isdigit()}
     if "u" in words and words - numbers <= IN_SIGMAS:
         expanded = re.search(r"(?i:expanded)|\bU(?![^\W_])", name)
-        coverage = coverage or (math.nan if numbers else 2.0 if expanded else 1.0)
+        coverage = math.nan if numbers else coverage or (2.0 if expanded else 1.0)
         kind = "abs" if "abs" in words or unit in ("1/sr", "1/msr", "%/sr") else level
         kind = "rel" if "rel" in words else kind
         return Column(name, "sigma", unit, "", channel, coverage, kind)

@@ -213,6 +213,7 @@ BRDF;U_90 | ..0.4;0.1 | \
     'U_90' may be expanded: .* such as k=2, or say --columns sigma='U_90'
 BRDF;u 2 | ..0.4;0.1 | 'u 2' may be expanded
 BRDF;u(BRDF)*2 | ..0.4;0.1 | may be expanded
+BRDF;u(BRDF)*2 (k=3) | ..0.4;0.1 | may be expanded
 BRF [%];U95% | ..50;4 | sigma='U95%:rel' if it is rel
 BRDF;U95% | ..0.4;4 | 'U95%' may be in %: say
 BRF [%];u(BRF) [%] | ..50;4 | 'u.BRF. ...:rel' if it is rel
