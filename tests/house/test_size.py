@@ -30,7 +30,7 @@ BUDGET = {
     "analysis": 3860,
     "validation": 8800,
 }
-CORE, WHOLE = 17500, 36890
+CORE, WHOLE = 17300, 36300
 HANDBOOK = Path(__file__).parents[2] / "notebooks" / "how_it_is_built.md"
 
 
