@@ -74,7 +74,9 @@ class CampaignFolder(contextlib.ExitStack):
                 "drjit": dr.__version__,
             },
             "plugins": dict(tasks[0].plugins),
-            "settings": {k: _text(v) for k, v in sorted(tasks[0].arguments.items())},
+            "settings": {
+                k: _distinct_text(v) for k, v in sorted(tasks[0].arguments.items())
+            },
         }
         self.specimens = {task.name: _fingerprint(task.specimen) for task in tasks}
         self.incidents = [list(incident) for incident in incidents]
@@ -227,12 +229,12 @@ def _check_same(path: Path, found: Any, own: dict[str, Any]) -> None:
             )
 
 
-def _text(value: Any) -> str:
+def _distinct_text(value: Any) -> str:
     """Text that tells a setting from others, the same for 1e6 and 1000000."""
     if isinstance(value, Mapping):
-        return f"{{{', '.join(f'{k}: {_text(v)}' for k, v in value.items())}}}"
+        return f"{{{', '.join(f'{k}: {_distinct_text(v)}' for k, v in value.items())}}}"
     if isinstance(value, (list, tuple)):
-        return f"[{', '.join(map(_text, value))}]"
+        return f"[{', '.join(map(_distinct_text, value))}]"
     if isinstance(value, (bool, np.bool_)):
         return str(bool(value))
     if isinstance(value, Integral):
@@ -253,7 +255,7 @@ def _fingerprint(specimen: Any) -> str:
     if isinstance(specimen, (str, os.PathLike)):
         content = existing(specimen).read_bytes()
         return f"{os.fspath(specimen)} sha256:{_sha256(content)}"
-    return _text(specimen)
+    return _distinct_text(specimen)
 
 
 def _sha256(content: bytes) -> str:

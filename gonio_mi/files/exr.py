@@ -37,7 +37,7 @@ from ..array_types import Counts, Floats, Numbers
 from ..results.record import Record
 from ..results.tally import ELEMENT_NAMES, N_ELEMENTS, Integrals, PolarisedTally
 from .checks import check_seal, require, seal_of
-from .exr_parts import image_of, parts_of
+from .exr_part_reader import image_of, parts_of
 from .header import (
     FRAMES,
     check_format,

@@ -80,7 +80,7 @@ class Prediction:
         theta_i, phi_i : float
             In degrees, from the normal of the lit face.
         """
-        face = self.face(theta_i, phi_i)
+        face = self.local_bsdf(theta_i, phi_i)
         towards = direction(np.radians(theta_i), np.radians(phi_i))
         wi = mi.Vector3f(towards.tolist())
         dr.make_opaque(wi)
@@ -95,7 +95,7 @@ class Prediction:
         flux: Floats = brdf.reshape(shape) * solid
         return flux
 
-    def face(self, theta_i: float, phi_i: float) -> InterpolatedBSDF:
+    def local_bsdf(self, theta_i: float, phi_i: float) -> InterpolatedBSDF:
         """The material, of what lies around a direction alone; the same there."""
         return self._face(*self.lobes.grid.around(theta_i, phi_i))
 

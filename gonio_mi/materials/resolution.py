@@ -62,7 +62,7 @@ def checked_sectors(patches: Subdivision) -> RingsAndSectors:
     )
 
 
-def check_resolved(
+def check_patches_resolve(
     directions: MeasuredDirections, angles: Sequence[float], phi_i: float = 0.0
 ) -> None:
     """Raise SpecimenError if patches are too coarse to say what is between directions.

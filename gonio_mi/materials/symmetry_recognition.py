@@ -73,7 +73,9 @@ class SymmetryRecognition:
         logger.info("%s has the symmetry %s", self.directions.name, found)
         return found
 
-    def refuted(self, motions: Sequence[Motion], theta: float, phi: float) -> bool:
+    def is_any_refuted(
+        self, motions: Sequence[Motion], theta: float, phi: float
+    ) -> bool:
         """Whether at a direction a motion changes the specimen after all."""
         images = [(theta, motion.azimuth(phi)) for motion in motions]
         start = theta, phi
@@ -104,7 +106,7 @@ class SymmetryRecognition:
         n = self.n_sectors
         starts = {azimuth_of(round(n * turn), n) for turn in IMAGED}
         return not any(
-            self.refuted([motion], theta, phi)
+            self.is_any_refuted([motion], theta, phi)
             for theta in self.looked_at
             for phi in sorted(starts)
         )

@@ -31,7 +31,12 @@ from .measured_directions import (
     may_exceed,
 )
 from .refinement import Axis, IncidentRings, Interval, refined
-from .resolution import TooCoarseError, check_peaks, check_resolved, checked_sectors
+from .resolution import (
+    TooCoarseError,
+    check_patches_resolve,
+    check_peaks,
+    checked_sectors,
+)
 from .symmetry_recognition import SymmetryRecognition
 
 logger = logging.getLogger(__name__)
@@ -119,19 +124,19 @@ class WholeBsdf:
         self.directions.check_functions((angles[1], 0.0))
         self.directions.announce(len(angles) + N_UNSEEN)  # at least
         n_sectors = checked_sectors(self.directions.patches).n_phi
-        check_resolved(self.directions, angles[2:])
+        check_patches_resolve(self.directions, angles[2:])
         self.recognition = SymmetryRecognition(self.directions, angles)
         self.isotropic = self.recognition.is_isotropic()
         self.symmetry = AzimuthSymmetry(n_sectors)
         quarter = azimuth_of(round(n_sectors / 4), n_sectors)
         if not self.isotropic:
             # lobes that are wide along this azimuth may be narrow along the other
-            check_resolved(self.directions, angles[2:], quarter)
+            check_patches_resolve(self.directions, angles[2:], quarter)
             self.symmetry = self.recognition.symmetry()
         self._refine(angles)
         while (errors := self._confirmed()) is None:
             if self.isotropic:
-                check_resolved(self.directions, angles[2:], quarter)
+                check_patches_resolve(self.directions, angles[2:], quarter)
             self.isotropic, self.symmetry = False, AzimuthSymmetry(n_sectors)
             self._refine(angles)
         return self._described(errors)
@@ -262,7 +267,7 @@ class WholeBsdf:
         if self.isotropic:  # turned to about the azimuth of the material
             n = self.symmetry.n_sectors
             motions = [Motion(n - round(phi * n / 360), False, n)]
-        return self.recognition.refuted(motions, theta, phi)
+        return self.recognition.is_any_refuted(motions, theta, phi)
 
     def _errors_at(
         self, unseen: Sequence[tuple[float, float]]

@@ -103,11 +103,11 @@ def new_figure(path: str | PathLike[str] | None, **settings: Any) -> Figure:
     check_matplotlib()
     if path is not None:
         check_picture(path)
-    return _class()(**{"layout": "constrained"} | settings)
+    return _notebook_figure_class()(**{"layout": "constrained"} | settings)
 
 
 @functools.cache
-def _class() -> type[Figure]:
+def _notebook_figure_class() -> type[Figure]:
     from matplotlib.figure import Figure
 
     class NotebookFigure(Figure):

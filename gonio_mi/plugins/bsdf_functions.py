@@ -21,10 +21,10 @@ import numpy as np
 from ..errors import SettingError, SettingTypeError
 
 
-def _part(number: int, what: str) -> Callable[..., Any]:
+def _answer_of_eval_pdf(number: int, what: str) -> Callable[..., Any]:
     """Function of a BSDF that gives one of the two answers of its ``eval_pdf``."""
 
-    def part(
+    def one_answer(
         self: Any,
         ctx: mi.BSDFContext,
         si: mi.SurfaceInteraction3f,
@@ -33,12 +33,14 @@ def _part(number: int, what: str) -> Callable[..., Any]:
     ) -> Any:
         return self.eval_pdf(ctx, si, wo, active)[number]
 
-    part.__doc__ = what
-    return part
+    one_answer.__doc__ = what
+    return one_answer
 
 
-evaluate = _part(0, "BSDF times the cosine of `wo`, of the enabled components.")
-density = _part(1, "Density of `wo` in 1/sr.")
+evaluate = _answer_of_eval_pdf(
+    0, "BSDF times the cosine of `wo`, of the enabled components."
+)
+density = _answer_of_eval_pdf(1, "Density of `wo` in 1/sr.")
 
 
 def name_component(

@@ -405,14 +405,14 @@ def _sines(
 
 
 def _angles(
-    cells: Cells, points: Points, number: mi.UInt32, place: mi.UInt32
+    cells: Cells, points: Points, cell: mi.UInt32, point: mi.UInt32
 ) -> list[mi.Float64]:
-    """Polar angle and azimuth of the point `place` of each cell `number`."""
+    """Polar angle and azimuth of the `point` of each `cell`, by their numbers."""
     found = []
     for middle, half, inside, at in points.placed(cells):
-        node = dr.gather(mi.Float64, mi.Float64(at), place)
+        node = dr.gather(mi.Float64, mi.Float64(at), point)
         limit, halves, middles = (
-            dr.gather(mi.Float64, mi.Float64(array), number)
+            dr.gather(mi.Float64, mi.Float64(array), cell)
             for array in (inside, half, middle)
         )
         found.append(middles + dr.clip(halves * node, -limit, limit))

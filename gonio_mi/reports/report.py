@@ -208,7 +208,7 @@ def packed_record(
     if len(kept) < n_all:
         words = f"{len(kept)} of the record's {n_all} incident directions, evenly"
         notes.insert(0, f"This page has {words}.")
-    directions = [_direction(summary, i) for i in kept]
+    directions = [_direction_rows(summary, i) for i in kept]
     blocks = []
     for number in kept:
         blocks.append(_block(record[number]))
@@ -237,7 +237,7 @@ def packed_record(
     }
 
 
-def _direction(summary: Summary, index: int) -> dict[str, Any]:
+def _direction_rows(summary: Summary, index: int) -> dict[str, Any]:
     """Angles of an incident direction, and the rows of its totals and its ledger."""
     found = summary.directions[index]
     emitted = found.ledger["emitted"]

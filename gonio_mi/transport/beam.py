@@ -98,7 +98,7 @@ class Beam:
             (self._cap,) = in_memory([2 * np.sin(np.radians(divergence) / 2) ** 2])
         self.incident: Any = incident
         self._aim()
-        self._reference = None if self.uniform else self._unit_power(nm)
+        self._reference = None if self.uniform else self._power_counted_as_one(nm)
 
     def turned(self, emitter: mi.Emitter) -> Beam:
         """The same collimated beam from the direction of another emitter.
@@ -303,7 +303,7 @@ class Beam:
         box = self.emitter.bbox()
         return (np.array(box.min) + np.array(box.max)).ravel() / 2
 
-    def _unit_power(self, nm: tuple[float, ...] | None) -> float:
+    def _power_counted_as_one(self, nm: tuple[float, ...] | None) -> float:
         """Power that counts as 1: about the mean over the beam, a power of two.
 
         That of the footprint's middle; but of all the footprint if the middle is dark,

@@ -13,7 +13,7 @@ import numpy as np
 from ..array_types import Flags, Integers
 from ..results.tally import Fate
 from ..settings.values import ALL_ORDERS, UNLIMITED, Order
-from .rays import leaves_by_a_side
+from .rays import exit_distance
 
 
 @dataclass
@@ -71,6 +71,22 @@ def exits_of(
     leaves = ray.o + flight.shift, ray.d, throughput, fate, incident, depth
     by_a_side = leaves_by_a_side(specimen, ray.o, ray.d)
     return Exits(*leaves, flight=flight, over_the_edge=by_a_side)
+
+
+def leaves_by_a_side(specimen: Any, o: mi.Point3f, d: mi.Vector3f) -> mi.Bool:
+    """Whether a ray from inside the bounding box crosses one of its four sides.
+
+    A periodic specimen has none.
+    """
+    if specimen.periodic:
+        return mi.Bool(False)
+    low, high = specimen.box.low, specimen.box.high
+    # a ray that starts just outside of a face has passed it
+    t_x, t_y, t_z = (
+        dr.maximum(exit_distance(low[i], high[i], o[i], d[i]), 0) for i in range(3)
+    )
+    # the horizon is at an infinite distance in z
+    return ~(dr.minimum(t_x, t_y) >= t_z)
 
 
 def of_order(exits: Exits, order: Order) -> Exits:

@@ -28,9 +28,9 @@ from .rays import Encounter, Flight, encounter, flight_from, intersect, proceed
 from .specimen import Specimen
 from .surface_events import (
     after_event,
-    event_numbers,
     scattered,
     survival_chance,
+    survival_numbers,
     whole_number,
 )
 from .surface_loop import PathSettings, sent
@@ -330,7 +330,7 @@ def trace_inside(
         wo = dr.select(in_medium, phase_wo, wo)
         event_weight = dr.select(in_medium, phase_weight, event_weight)
         bs.pdf = dr.select(in_medium, pdf, bs.pdf)
-        another, numbers = event_numbers(sampler, analog, event)
+        another, numbers = survival_numbers(sampler, analog, event)
         event_β, event_fate = after_event(β, event_weight, bs, wo, numbers)
         β[event] = event_β
         ended = event_fate == mi.UInt32(Fate.ABSORBED)

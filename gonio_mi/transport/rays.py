@@ -159,7 +159,7 @@ def through_side(
         return p, step, mi.Bool(False)
     box = specimen.box
     low, high = box.low, box.high
-    t_x, t_y, t_z = (_exit_distance(low[i], high[i], o[i], d[i]) for i in range(3))
+    t_x, t_y, t_z = (exit_distance(low[i], high[i], o[i], d[i]) for i in range(3))
     # a ray that is outside by rounding leaves at once
     t = dr.maximum(dr.minimum(t_x, t_y), 0)
     p = o + t * d
@@ -172,23 +172,7 @@ def through_side(
     return p, step, t < t_z
 
 
-def leaves_by_a_side(specimen: Any, o: mi.Point3f, d: mi.Vector3f) -> mi.Bool:
-    """Whether a ray from inside the bounding box crosses one of its four sides.
-
-    A periodic specimen has none.
-    """
-    if specimen.periodic:
-        return mi.Bool(False)
-    low, high = specimen.box.low, specimen.box.high
-    # a ray that starts just outside of a face has passed it
-    t_x, t_y, t_z = (
-        dr.maximum(_exit_distance(low[i], high[i], o[i], d[i]), 0) for i in range(3)
-    )
-    # the horizon is at an infinite distance in z
-    return ~(dr.minimum(t_x, t_y) >= t_z)
-
-
-def _exit_distance(low: mi.Float, high: mi.Float, o: mi.Float, d: mi.Float) -> mi.Float:
+def exit_distance(low: mi.Float, high: mi.Float, o: mi.Float, d: mi.Float) -> mi.Float:
     """Distance to the face of a slab through which a ray from inside leaves."""
     face = dr.select(d > 0, high, low)
     # -0 and +0 alike: along the face, never through it

@@ -53,7 +53,7 @@ def scattered(
     return bs, weight * shading_normal_correction(si, ray, bs.wo, wo), wo
 
 
-def event_numbers(
+def survival_numbers(
     sampler: mi.Sampler, analog: bool, active: mi.Bool
 ) -> tuple[mi.Float, tuple[mi.Float, mi.Float] | None]:
     """Number of the roulette, and the two of the analog estimator, else None.

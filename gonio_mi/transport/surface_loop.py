@@ -19,11 +19,11 @@ from .specimen import Specimen
 from .surface_events import (
     after_event,
     emitted,
-    event_numbers,
     flux_context,
     is_delta,
     scattered,
     survival_chance,
+    survival_numbers,
 )
 
 
@@ -143,7 +143,7 @@ def trace(
         # ------------------------------- Scattering -----------------------------------
         u1, u2 = sampler.next_1d(active), sampler.next_2d(active)
         bs, bsdf_weight, wo = scattered(bsdf, si, ray, u1, u2, active)
-        another, numbers = event_numbers(sampler, analog, active)
+        another, numbers = survival_numbers(sampler, analog, active)
         event_β, event_fate = after_event(β, bsdf_weight, bs, wo, numbers)
         β[active] = event_β
         fate[active] = event_fate

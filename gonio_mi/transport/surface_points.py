@@ -229,7 +229,7 @@ def single_scattering(
     end = BRANCHES * settings.rays // (settings.batches * setups[0].n_patches)
     end = N_FIRST if settings.noise else max(N_FIXED, 1 << end.bit_length() >> 1)
     while waiting:
-        more_of_each = SurfacePoints(waiting).light(begin, end, report)
+        more_of_each = SurfacePoints(waiting).single_scattering(begin, end, report)
         for setup, more in zip(waiting, more_of_each):
             found[setup] = found[setup] + more if setup in found else more
         if settings.noise is None:
@@ -286,7 +286,7 @@ class SurfacePoints:
         extent = (self.specimen.high - self.specimen.low)[:2]
         self.area = float(np.sum(areas) / np.prod(extent))
 
-    def light(
+    def single_scattering(
         self, begin: int, end: int, report: Callable[[float], Any] | None
     ) -> list[SingleScattering]:
         """Light of points `begin` to `end` of each batch, by incident direction."""

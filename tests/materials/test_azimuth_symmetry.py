@@ -415,7 +415,7 @@ def test_a_symmetry_that_does_not_hold_is_given_up(isotropic, believed, monkeypa
     for name, number in (("N_UNSEEN", 10), ("MAX_LOOKS", 2), ("MAX_MISSES", 0)):
         monkeypatch.setattr(whole_bsdf, name, number)
     if believed:
-        monkeypatch.setattr(SymmetryRecognition, "refuted", lambda *_: False)
+        monkeypatch.setattr(SymmetryRecognition, "is_any_refuted", lambda *_: False)
         helps = "was not reached.*a larger tolerance helps"
         with pytest.warns(RuntimeWarning, match=helps):
             record = gonio.campaign({"brushed": BRUSHED}, **COARSE)["brushed"]

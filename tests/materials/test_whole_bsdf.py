@@ -270,7 +270,7 @@ def test_points_are_spared_where_few_do():
     found, widths = [], []
     for spared in (0, 1e-4, 1):
         prediction = Prediction(record, 8, spared)
-        face = prediction.face(44, 31)
+        face = prediction.local_bsdf(44, 31)
         values = face.values
         evaluated = []
 

@@ -102,7 +102,7 @@ def run(options: Namespace) -> int:
     if options.budget is not None:
         files.check_output(options.budget, (".csv",))
     other = _other(options)
-    record, specimen, parameters = _record(options, other)
+    record, specimen, parameters = _record_and_specimen(options, other)
     settings = {
         "parameters": parameters,
         "aperture_half_angle": options.aperture_half_angle,
@@ -164,7 +164,7 @@ def _other(options: Namespace) -> Any:
         check_nothing_open(error.place, [*error.questions, aperture])
 
 
-def _record(options: Namespace, other: Any) -> tuple[Any, Any, Any]:
+def _record_and_specimen(options: Namespace, other: Any) -> tuple[Any, Any, Any]:
     """Record that RECORD is, and the specimen to be measured with its parameters.
 
     None for what is not there.

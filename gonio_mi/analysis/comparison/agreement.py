@@ -203,8 +203,8 @@ def judge(
     }
     p_values = {
         "chi2": float(special.chdtrc(dof, chi2 * dof / n)),
-        "worst": _largest(worst, n),
-        "total": _largest(statistics["total"], len(total)) if total else 1.0,
+        "worst": _p_value_of_largest(worst, n),
+        "total": _p_value_of_largest(statistics["total"], len(total)) if total else 1.0,
     }
     return z, np.concatenate(errors), statistics, p_values
 
@@ -411,6 +411,6 @@ def _trace_of_square(one: PointSet, sigma: Floats) -> float:
     return trace
 
 
-def _largest(z: float, n: int) -> float:
+def _p_value_of_largest(z: float, n: int) -> float:
     """Probability that the largest of `n` independent normal scores reaches `z`."""
     return float(-np.expm1(n * np.log1p(-min(2 * special.ndtr(-z), 1 - 1e-16))))

@@ -233,7 +233,7 @@ def _elements(record: Record, quantity: str, number: int) -> dict[str, Floats]:
     return columns
 
 
-def _netcdf(
+def _write_netcdf(
     record: Record, path: str | PathLike[str], engine: str = "scipy"
 ) -> list[Loss]:
     """Labelled arrays."""
@@ -249,6 +249,6 @@ def _netcdf(
 
 _FORMATS: dict[str, Callable[[Record, str | PathLike[str]], list[Loss]]] = {
     ".csv": _csv,
-    ".nc": _netcdf,
-    ".h5": partial(_netcdf, engine="h5netcdf"),
+    ".nc": _write_netcdf,
+    ".h5": partial(_write_netcdf, engine="h5netcdf"),
 }

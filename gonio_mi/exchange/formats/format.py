@@ -102,7 +102,7 @@ class Lines:
         require(good.all(), f"line {self.number} must have whole numbers")
         return [int(value) for value in values]
 
-    def listed(self) -> Floats:
+    def counted_numbers(self) -> Floats:
         """Numbers of the next line, which the one before it counts."""
         (n,) = self.whole(1)
         check_size(n)

@@ -81,7 +81,7 @@ class Block:
         require(0 <= self.theta_i <= 90, f"its angle of incidence is {self.theta_i:g}")
 
     @property
-    def mirrored(self) -> bool:
+    def holds_one_side(self) -> bool:
         """Whether there are values on one side of the plane of incidence only."""
         return self.azimuth[0] == 0 and self.azimuth[-1] == 180
 
@@ -120,10 +120,10 @@ class Block:
         sine = np.hypot(local[..., 0], local[..., 1])
         polar = np.degrees(np.arctan2(sine, local[..., 2]))
         azimuth = np.degrees(np.arctan2(local[..., 1], local[..., 0]))
-        if self.mirrored:
+        if self.holds_one_side:
             azimuth = np.abs(azimuth)
         angles, values = self.azimuth, self.values
-        if not self.mirrored and np.ptp(angles) < 360 * (1 - 1e-9):
+        if not self.holds_one_side and np.ptp(angles) < 360 * (1 - 1e-9):
             # the first is repeated after a full turn
             angles = np.append(angles, angles[0] + 360)
             values = np.concatenate([values, values[:, :1]], axis=1)

@@ -92,8 +92,10 @@ def _read_anisotropic(rows: Lines, header: dict[str, str]) -> Scatter:
     hemispheres = [h for h in (0, 1) if held[h]]
     directions = {}
     for hemisphere in hemispheres:
-        angles = rows.listed()
-        directions[hemisphere] = [(a, t) for a in angles for t in rows.listed()]
+        angles = rows.counted_numbers()
+        directions[hemisphere] = [
+            (a, t) for a in angles for t in rows.counted_numbers()
+        ]
         check_size(len(directions[hemisphere]))
     spectra = {}
     for hemisphere in hemispheres:

@@ -110,7 +110,7 @@ def write(scatter: Scatter, stream: BinaryIO, comment: str) -> None:
     lines = [
         f"# {' '.join(comment.split())}",
         "Source  Measured",
-        f"Symmetry  {'PlaneSymmetrical' if first.mirrored else symmetry}",
+        f"Symmetry  {'PlaneSymmetrical' if first.holds_one_side else symmetry}",
         "SpectralContent  Monochrome",
         f"ScatterType  {('BRDF', 'BTDF')[first.hemisphere]}",
     ]

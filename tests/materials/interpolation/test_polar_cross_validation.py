@@ -159,7 +159,7 @@ def test_predictions_need_only_what_lies_around():
     around, whole, elsewhere = (Prediction(record, 4) for _ in range(3))
     table = InterpolatedBSDF(whole.lobes.whole(), half_vectors=whole.half_vectors)
     whole.face = lambda *_: table
-    elsewhere.face = lambda *_: around.face(50, 140)
+    elsewhere.local_bsdf = lambda *_: around.local_bsdf(50, 140)
     assert any(any(way.segments) for way in around.half_vectors)
     for one in ((5, 30), (29, 359), (50, 100), (70, 300), (80, 20), (0, 0)):
         truth = whole.flux(*one)
