@@ -26,10 +26,10 @@ from .samples import SLACK, Samples, beyond_rounding, unequal
 class Cosine(Mistake):
     """Wrong cosines of a `part`, or what would look so to all that was asked."""
 
-    LACKS = "{who} lacks the cosine of wo, or division by that of wi{part}"
-    TWICE = """{who} has the cosine of wo twice, or is divided by that of wi once too
-        often{part}"""
-    OF_WI = "{who} has the cosine of wi where that of wo is due{part}"
+    LACKS = "{who} lacks the factor cos(theta_o), or division by cos(theta_i){part}"
+    TWICE = """{who} has an extra factor cos(theta_o), or an extra division by
+        cos(theta_i){part}"""
+    OF_WI = "{who} has cos(theta_i) in place of cos(theta_o){part}"
     OF_A_LOBE = """{before}; the same asymmetry would result from one of several lobes
         that {words}; validate each lobe alone (ctx.component, or set the other
         reflectances to 0)"""

@@ -341,8 +341,13 @@ class Evidence:
         return [one for one in self.breaches if one.name == name]
 
     def worst(self, name: str) -> Breach | None:
-        """The worst breach of a property, of equal ones the first; None without."""
+        """The worst breach of a property, of equal ones the first; None without.
+
+        By effect, then by size.
+        """
         found = self.of(name)
+        effect = min((EFFECTS.index(one.effect) for one in found), default=0)
+        found = [one for one in found if one.effect == EFFECTS[effect]]
         worst = max(found, key=lambda one: one.size, default=None)
         if worst is None:
             return None

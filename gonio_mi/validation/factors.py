@@ -21,18 +21,19 @@ from .samples import Samples, beyond_rounding, ratio_of, unequal
 
 # Likely factors that are forgotten, or there once too often, and how they read.
 FACTORS = {
-    "cos_o": "the cosine of wo",
-    "cos_i": "the cosine of wi",
-    "sin_o": "the sine of theta_o",
-    "pi": "a factor pi",
-    "four": "a factor 4",
-    "two": "a factor 2",
-    "jacobian": "the Jacobian of the half vector, 1 / (4 wo.h)",
+    "cos_o": "cos(theta_o)",
+    "cos_i": "cos(theta_i)",
+    "sin_o": "sin(theta_o)",
+    "pi": "pi",
+    "four": "4",
+    "two": "2",
+    "jacobian": "1 / (4 wo.h), the Jacobian of the half vector",
     "dot": "wo.h",
-    "cos_h": "the cosine of the half vector",
+    "cos_h": "cos(theta_h) of the half vector",
     "eta2": "eta^2",
-    "component": "the probability of the lobe",
+    "component": "P(lobe), the probability of the lobe",
     "pdf": "`pdf`",
+    "masking": "G1(wo), Smith's masking of wo",
 }
 NUMBERS = {"pi": np.pi, "four": 4.0, "two": 2.0}
 
@@ -42,10 +43,12 @@ class Factor(Mistake):
 
     CONTRADICTS = "{subject} contradicts the other functions"
     RATIO = "{words} {ratio}"
-    TOO_MUCH = "{subject} has {factor} too much{where}"
-    LACKS = "{subject} lacks {factor}{where}"
+    TOO_MUCH = "{subject} has an extra factor {factor}{where}"
+    LACKS = "{subject} lacks the factor {factor}{where}"
     NOT_DIVIDED = "{subject} lacks division by {factor}{where}"
     DIVIDED_TWICE = "{subject} is divided once more by {factor}{where}"
+    CONSTANT = """`eval` or the weight of `sample`: they differ by a constant factor,
+        weight times pdf is {factor:.4g} times `eval`{where}"""
     EITHER = """`eval` or the weight of `sample`: weight times pdf, over `eval`,
         {ratio}{where}"""
     OTHER_SUMS = """{who}: the weights do not sum up to `eval`, where directions agree
@@ -99,6 +102,9 @@ OF_EVAL = Between(
 # Largest distance from 1, for nine samples in ten, of a ratio that is explained; and of
 # one whose factor is known from frequencies only.
 TOLERANCE, COMPONENT_TOLERANCE = 2e-3, 0.02
+
+# Least square of a roughness whose masking is told from a constant.
+MIN_ALPHA2 = 1e-3
 
 _ANSWERS: dict[str, Callable[[Samples], Floats]] = {
     "weight": lambda samples: samples.weight * samples.pdf[:, None],
@@ -201,7 +207,7 @@ def explain(ratios: Sequence[Ratio], two: Between) -> Guess:
         mistakes = Factor.NOT_DIVIDED, Factor.DIVIDED_TWICE
     where = _where(wrong, ratios)
     if found.constant is not None:
-        where = f", and has a factor {found.constant:.4g} besides"
+        where = f", and an additional factor of {found.constant:.4g}"
     mistake, factor = mistakes[found.power < 0], FACTORS[found.name]
     return mistake(two.guilty, factor=factor, where=where, **names)
 
@@ -211,6 +217,10 @@ def _explain_neutrally(ratios: Sequence[Ratio]) -> Guess:
     wrong = _wrong(ratios)
     found = _find(wrong)
     if found is None:
+        middle = float(np.median(wrong[0].values))
+        if all(_is_one(one.values / middle) for one in wrong):
+            where = _where(wrong, ratios)
+            return Factor.CONSTANT(EVAL | SAMPLE, factor=middle, where=where)
         text = _in_numbers(wrong, ratios)
         return Factor.EITHER(EVAL | SAMPLE, ratio=text, where="")
     text, constant = FACTORS[found.name], found.constant
@@ -245,10 +255,11 @@ def _find(ratios: Sequence[Ratio]) -> _Found | None:
     known = {
         name: [factor(name, one.samples, one.mask) for one in ratios]
         for name in FACTORS
+        if name != "masking"
     }
     # a constant may come with factors that vary
-    varying = [one for one in FACTORS if one not in (*NUMBERS, "component", "eta2")]
-    alone = product([False], FACTORS, (1, -1))
+    varying = [one for one in known if one not in (*NUMBERS, "component", "eta2")]
+    alone = product([False], known, (1, -1))
     for with_constant, name, power in (*alone, *product([True], varying, (1, -1))):
         own = known[name]
         rests = [ratio.values / x**power for ratio, x in zip(ratios, own)]
@@ -260,7 +271,21 @@ def _find(ratios: Sequence[Ratio]) -> _Found | None:
         constant = float(np.median(rests[0]))
         if with_constant and all(_is_one(rest / constant) for rest in rests):
             return _Found(name, power, constant)
-    return None
+    masking = next((k for k in (1, -1) if _is_masking(ratios, k)), None)
+    return masking and _Found("masking", masking)
+
+
+def _is_masking(ratios: Sequence[Ratio], power: int) -> bool:
+    """Whether a power of GGX's G1(wo) explains ratios, of roughnesses that fit best."""
+    wo = np.concatenate([one.samples.wo[one.mask] for one in ratios])
+    g1 = np.concatenate([one.values for one in ratios]) ** power
+    # (2 / G1 - 1)^2 - 1 is a sum of the squares of both roughnesses
+    slopes = (wo[:, :2] / wo[:, 2:]) ** 2
+    size = 1 + slopes.sum(axis=1)
+    excess = ((2 / np.maximum(g1, 1e-9) - 1) ** 2 - 1) / size
+    alpha2 = np.linalg.lstsq(slopes / size[:, None], excess, rcond=None)[0]
+    fitted = 2 / (1 + np.sqrt(1 + slopes @ np.maximum(alpha2, 0)))
+    return bool((alpha2 > MIN_ALPHA2).all() and _is_one(g1 / fitted))
 
 
 def _is_trivial(name: str, values: Sequence[Floats]) -> bool:
@@ -317,7 +342,7 @@ def _place(ratios: Sequence[Ratio], everything: Sequence[Ratio]) -> str:
     wrong = np.abs(worst.values - 1) > TOLERANCE
     words = [text] if (text := _where(ratios, everything).strip()) else []
     if 0 < wrong.mean() < 0.95:
-        for side, name in ((reflected, "lit side"), (~reflected, "other side")):
+        for side, name in ((reflected, "illuminated side"), (~reflected, "other side")):
             if side[wrong].all() and not side.all():
                 words.append(f"on the {name}")
         theta = np.degrees(np.arccos(np.clip(np.abs(wo[wrong, 2]), 0, 1)))
@@ -446,10 +471,13 @@ def _by_reciprocity(bsdf: mi.BSDF, ratios: Sequence[Ratio]) -> Function | None:
     usable.sort(key=lambda one: abs(one.samples.condition.theta_i - 45))
     pairs: list[tuple[float, float, float]] = []
     for ratio in usable[:4]:
-        logs, index = np.log(ratio.values), np.flatnonzero(ratio.mask)
-        wrong = ratio.samples.reflected[index] & (np.abs(logs) > MAX_LOG_SAME)
+        own, index = ratio.samples, np.flatnonzero(ratio.mask)
+        # of sums over channels, as those of the way back
+        flux = own.weight[index].sum(axis=1) * own.pdf[index]
+        logs = np.log(flux / own.eval[index].sum(axis=1))
+        wrong = own.reflected[index] & (np.abs(logs) > MAX_LOG_SAME)
         for k in np.flatnonzero(wrong)[:N_PAIRS]:
-            back = _way_back(bsdf, ratio.samples, int(index[k]))
+            back = _way_back(bsdf, own, int(index[k]))
             if back is not None:
                 of_eval, log_ratio, unsure = back
                 pairs.append((of_eval, of_eval + float(logs[k]) - log_ratio, unsure))

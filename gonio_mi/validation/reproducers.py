@@ -338,10 +338,12 @@ def _is_textured(verdict: Verdict) -> bool:
 
 
 def _box(verdict: Verdict, name: str) -> tuple[FourMaps | None, Any]:
-    """Map and box of directions in which samples are most off, given enough hits.
+    """Map and box of directions in which most flux is wrong, given enough hits.
 
-    The box is that of a patch, of a ring, of a hemisphere or of the whole sphere: its
-    corners in the unit square that Mitsuba maps onto the sphere.
+    Of boxes that are certainly wrong, the one of the largest difference times the
+    fraction that it is of the box. The box is that of a patch, of a ring, of a
+    hemisphere or of the whole sphere: its corners in the unit square that Mitsuba maps
+    onto the sphere.
     """
     found: list[tuple[float, FourMaps, Any]] = []
     whole = [one for one in verdict.maps if one.condition.component is None]
@@ -363,8 +365,11 @@ def _box(verdict: Verdict, name: str) -> tuple[FourMaps | None, Any]:
                 for x in (drawn, due, hits, squares)
             )
             variance = np.maximum(s - np.maximum(k, q) ** 2 / n, 0) + (ROUGHLY * q) ** 2
-            z = np.where(e >= MIN_HITS, np.abs(k - q) / np.sqrt(variance + 1e-30), 0)
-            half, ring, sector = np.unravel_index(z.argmax(), z.shape)
+            off = np.where(e >= MIN_HITS, np.abs(k - q), 0)
+            # of many patches the worst is far off by chance
+            certain = off**2 / (variance + 1e-30) - 2 * np.log(off.size) > MIN_SCORE
+            flux = np.where(certain, off**2 / np.maximum(np.maximum(k, q), 1e-30), 0)
+            half, ring, sector = np.unravel_index(flux.argmax(), flux.shape)
             low, high = [0.0, 0.0], [1.0, 1.0]
             if 2 not in axes:
                 low[0], high[0] = patches.phi_edges[[sector, sector + 1]] / (2 * np.pi)
@@ -373,11 +378,9 @@ def _box(verdict: Verdict, name: str) -> tuple[FourMaps | None, Any]:
                 up = maps.condition.side == ("front", "back")[half]
                 ends = edges if up else [-x for x in edges]
                 low[1], high[1] = sorted((1 - x) / 2 for x in ends)
-            # of many patches the worst is far off by chance
-            score = float(z.max()) ** 2 - 2 * np.log(z.size)
-            found.append((score, maps, (low, high)))
-    score, best, corners = max(found, key=lambda one: one[0], default=(0.0, None, None))
-    return (best, corners) if score > MIN_SCORE else (None, EVERYWHERE)
+            found.append((float(flux.max()) / n, maps, (low, high)))
+    flux, best, corners = max(found, key=lambda one: one[0], default=(0.0, None, None))
+    return (best, corners) if flux > 0 else (None, EVERYWHERE)
 
 
 # ------------------------------------------------------------------- the BSDF as text

@@ -155,7 +155,7 @@ def draw(maps: FourMaps) -> Figure:
         bar.set_ticks(ticks, labels=[f"{one:.4g}" for one in ticks])
         bar.minorticks_off()
         _cross(places[2], maps, z, half)
-        places[0].set_ylabel("lit side" if half == 0 else "other side")
+        places[0].set_ylabel("illuminated side" if half == 0 else "other side")
     return figure
 
 
@@ -188,7 +188,7 @@ def draw_plane(maps: FourMaps) -> Figure:
         for (title, _), values, style in zip(lines, (drawn, due), ("-", "--")):
             axes.stairs(values, edges, baseline=None, ls=style, label=title)
         axes.axvline(np.degrees(patches.theta[ring]), c="0.6", lw=1, zorder=0)
-        side = "lit side" if half == 0 else "other side"
+        side = "illuminated side" if half == 0 else "other side"
         axes.set_title(
             f"{side}, azimuth {np.degrees(patches.phi[sector]):.0f}°", fontsize="medium"
         )

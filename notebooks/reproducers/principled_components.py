@@ -1,4 +1,4 @@
-# principled: `eval` does not heed ctx.component.
+# principled: `eval` ignores ctx.component.
 # The whole, and the sum of its components.
 import drjit as dr
 import mitsuba as mi

@@ -29,7 +29,8 @@ RIGHT = (
 )
 
 # Where weight times pdf is one account and `eval` another, and nothing tells which of
-# both is right: neither gains light, both are reciprocal.
+# both is right: neither gains light, both are reciprocal. So it is where lobes, each
+# right alone, are drawn with another probability than `pdf` says.
 EITHER = (
     "eval_five_percent_less",
     "weight_five_percent_less",
@@ -38,6 +39,8 @@ EITHER = (
     "eval_with_uv_swapped",
     "eval_of_one_roughness",
     "eval_eta2_upside_down",
+    "lobes_picked_the_wrong_way",
+    "sample_reused",
 )
 
 MISTAKES = {

@@ -36,7 +36,7 @@ MISTAKES = {
     "one_number": ("eval", "one number"),
     "mode_ignored": ("eval", "ctx.mode"),
     "too_coherent": ("eval", "too large"),
-    "polarizer_twice_as_bright": ("sample", "gains light"),
+    "polarizer_twice_as_bright": ("sample", "not energy conserving"),
     "rotates_light": ("eval", "not reciprocal"),
     "first_element_off": ("eval", "missing"),
     "sample_mode_ignored": ("sample", "importance mode does, in radiance"),

@@ -435,7 +435,7 @@ def test_a_lobe_drawn_too_often_is_told_so(drawn):
     assert judged["flags"].status == "holds"
     assert judged.passed == (drawn == 0.5)
     if not judged.passed:
-        assert judged.mistake.startswith("`sample` draws lobes or directions with")
+        assert judged.mistake.startswith("`sample` or `pdf`: lobes or directions are")
 
 
 class Stub(Matte):
@@ -469,7 +469,7 @@ class Deaf(Painted):
 
 def test_samples_of_types_that_are_excluded_are_told():
     found = verdict(Deaf)["flags"]
-    assert found.mistake == "`sample` does not heed ctx.type_mask"
+    assert found.mistake == "`sample` ignores ctx.type_mask"
     assert found.effect == HARMLESS
 
 

@@ -10,9 +10,9 @@ from broken_bsdfs import judged
 
 # Plugin, and what is said of it.
 VALUES = [
-    ("value_without_cosine", "`eval` lacks the cosine of wo"),
-    ("value_with_two_cosines", "`eval` has the cosine of wo twice"),
-    ("value_with_cosine_of_wi", "`eval` has the cosine of wi"),
+    ("value_without_cosine", "`eval` lacks the factor cos(theta_o)"),
+    ("value_with_two_cosines", "`eval` has an extra factor cos(theta_o)"),
+    ("value_with_cosine_of_wi", "`eval` has cos(theta_i) in place"),
 ]
 
 # Twins: a power of the cosine that is none of these, one that is not everywhere, and
@@ -48,15 +48,15 @@ def test_another_law_is_a_property_of_the_model(name):
     assert verdict.passed, str(verdict)
     assert verdict["reciprocity"].status == "fails"
     assert verdict["reciprocity"].effect == "a property of the model"
-    assert "cosine" not in verdict.mistake
+    assert "cos" not in verdict.mistake
 
 
 @pytest.mark.usefixtures("plugins")
 def test_the_mistake_comes_before_its_symptom():
     """Of brighter facets much light is gained; the twin gains it by reflectance."""
     for name, said, passed in (
-        ("bright_value_without_cosine", "`eval` lacks the cosine of wo", False),
-        ("bright_facets", "`eval` gains light: ", True),
+        ("bright_value_without_cosine", "`eval` lacks the factor cos(theta_o)", False),
+        ("bright_facets", "`eval` is not energy conserving: ", True),
     ):
         verdict = judged(name, "quick")
         assert verdict["energy"].status == "fails"
@@ -76,7 +76,7 @@ def test_the_cosine_of_the_half_vector_is_recognised():
     """The twin is tilted as no list knows: either function may be wrong."""
     known = judged("density_without_cosine_of_h", "quick")
     assert known.function == "pdf"
-    assert known.mistake.startswith("`pdf` lacks the cosine of the half vector (")
+    assert known.mistake.startswith("`pdf` lacks the factor cos(theta_h) of")
     twin = judged("density_tilted", "quick")
     assert twin.function == "sample or pdf"
     assert twin.mistake.startswith("`sample` or `pdf`: directions are drawn with")

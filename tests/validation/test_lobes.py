@@ -10,9 +10,9 @@ import pytest
 
 from gonio_mi.validation import validate
 
-LACKS = "`eval` lacks the cosine of wo, or division by that of wi, in "
-TWICE = "`eval` has the cosine of wo twice, or is divided by that of wi once too often"
-OF_WI = "`eval` has the cosine of wi where that of wo is due, in "
+LACKS = "`eval` lacks the factor cos(theta_o), or division by cos(theta_i), in "
+TWICE = "`eval` has an extra factor cos(theta_o), or an extra division by cos(theta_i)"
+OF_WI = "`eval` has cos(theta_i) in place of cos(theta_o), in "
 OF_IT = "the part of it that the parameter "
 HORIZON = "one lobe of several: it does not fall to 0 as wo falls to the horizon"
 
@@ -30,10 +30,10 @@ WRONG = [
 # What is a law of a model, as far as is known, and which mistake would look so.
 UNKNOWN = [
     ("components", {"coupled": True}, None),
-    ("parameters", {"coupled": True}, "lacks the cosine of wo"),
-    ("nothing", {"coupled": True}, "lacks the cosine of wo"),
+    ("parameters", {"coupled": True}, "lacks the factor cos(theta_o)"),
+    ("nothing", {"coupled": True}, "lacks the factor cos(theta_o)"),
     # a mistake indeed
-    ("nothing", {"diffuse_power": 2}, "has the cosine of wo twice"),
+    ("nothing", {"diffuse_power": 2}, "has an extra factor cos(theta_o)"),
 ]
 
 

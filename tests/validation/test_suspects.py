@@ -12,17 +12,17 @@ from gonio_mi.validation import validate
 HALF, COSINE, ALL = "half", "cosine", "all"
 
 # What is wrong, the functions that may be guilty, and what is said of them.
-OF_SAMPLE = "`sample`: its density has the cosine of wo too much ("
+OF_SAMPLE = "`sample`: its density has an extra factor cos(theta_o) ("
 CASES = [
-    ({"kept": HALF}, "sample", "`sample`: its density lacks a factor 2 ("),
+    ({"kept": HALF}, "sample", "`sample`: its density lacks the factor 2 ("),
     ({"kept": COSINE}, "sample", OF_SAMPLE),
-    ({"factor": COSINE}, "pdf", "`pdf` has the cosine of wo too much ("),
-    ({"kept": COSINE, "weighed": True}, "pdf", "`pdf` lacks the cosine of wo ("),
+    ({"factor": COSINE}, "pdf", "`pdf` has an extra factor cos(theta_o) ("),
+    ({"kept": COSINE, "weighed": True}, "pdf", "`pdf` lacks the factor cos(theta_o) ("),
     ({"kept": COSINE, "cut": True}, "sample", OF_SAMPLE),
     (
         {"kept": COSINE, "cut": True, "hidden": True},
         "sample or pdf",
-        "`pdf` lacks the cosine of wo, or the density of `sample` has the cosine of wo",
+        "`pdf` lacks the factor cos(theta_o), or the density of `sample` has an extra",
     ),
 ]
 

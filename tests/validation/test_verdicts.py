@@ -257,7 +257,7 @@ def test_report_is_one_file(tmp_path):
 @pytest.mark.usefixtures("plugins")
 def test_for_ci():
     assert assert_bsdf_valid({"type": "lambert"}, effort="quick").passed
-    with pytest.raises(AssertionError, match="`eval` lacks the cosine of wo"):
+    with pytest.raises(AssertionError, match="`eval` lacks the factor cos"):
         assert_bsdf_valid({"type": "eval_without_cosine"}, effort="quick")
 
 
@@ -305,7 +305,7 @@ def test_causes_come_before_consequences_and_places_are_named():
     assert rare.mistake == "the value of `eval` is nan in places"
     assert [one.name for one in rare.failures][:2] == ["answers", "weights"]
     gain = judged("cats_eye_gains_light", "quick")
-    assert "gains light" in gain.mistake
+    assert "not energy conserving" in gain.mistake
 
 
 @pytest.mark.usefixtures("plugins")

@@ -1,4 +1,4 @@
-"""All functions answer, with finite values of at least 0."""
+"""All functions return finite, non-negative values."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ ANSWERS = Question(
     __doc__,
     BIAS,
     ALL,
-    volumes="both functions answer, with finite values of at least 0; `eval` and "
+    volumes="both functions return finite, non-negative values; `eval` and "
     "`pdf` are the answers of `eval_pdf`",
     rank=0,
-    matrices="all functions answer, with finite matrices",
+    matrices="all functions return finite matrices",
 )
 
 
@@ -40,8 +40,8 @@ class Answers(Mistake):
     APPLIES_A_TRANSFORM = "{who} applies `{transform}` to wo, which is local"
     MIXES_COORDINATES = "{who} mixes local and world coordinates"
     MIXES_IN_WEIGHT = "{who} mixes local and world coordinates in its weight"
-    IN_THE_WORLD = """{who} returns directions in world coordinates, where local ones
-        are due"""
+    IN_THE_WORLD = """{who} returns directions in world coordinates instead of local
+        ones"""
     OF_PLACE = "{both} depend differently on the place in the world, si.p"
     OF_ORDER = "{who} depends on the place of a ray in the array"
     OTHER_ALBEDO = "{who} is not the reflectance of `eval`, {due:.4g}"

@@ -25,10 +25,10 @@ class Components(Mistake):
     OTHER_LOBE = """the weight of {who} times the probability of the discrete lobe of
         component {component} is not that of the component alone"""
     IGNORED = "{those} ignore ctx.component"
-    NOT_HEEDED = "{those} does not heed ctx.component"
-    NO_SUM = "{who} does not heed ctx.component, or the components are not a sum"
+    IGNORES = "{those} ignores ctx.component"
+    NO_SUM = "{who} ignores ctx.component, or the components are not a sum"
     PDF_IS_MORE = "{who} of the whole is more than those of its components together"
-    TYPE_NOT_HEEDED = "{who} does not heed ctx.type_mask"
+    TYPE_IGNORED = "{who} ignores ctx.type_mask"
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ def _check_types(evidence: Evidence, samples: Samples, each: Alone) -> None:
         ):
             wrong = wrong & (samples.smooth | (function is SAMPLE))
             if beyond_rounding(wrong) and (apart or function is SAMPLE):
-                guess = Components.TYPE_NOT_HEEDED(function)
+                guess = Components.TYPE_IGNORED(function)
                 how = {"off": None, "kind": Kind.TYPE_MASK}
                 evidence.breach(DECLARED, guess, samples, wrong, **how)
                 return
@@ -194,4 +194,4 @@ def _deaf(samples: Samples, each: Alone, usable: Flags) -> Guess | None:
     ] or [""]
     if others:
         return Components.IGNORED(EVAL, those=f"{', '.join(others)} and {last}")
-    return Components.NOT_HEEDED(EVAL, those=last) if last else None
+    return Components.IGNORES(EVAL, those=last) if last else None

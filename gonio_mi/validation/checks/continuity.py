@@ -1,4 +1,4 @@
-"""No jump at normal incidence, nothing black before the horizon."""
+"""Continuous at normal incidence, non-zero up to grazing angles."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Continuity(Mistake):
     """Where values jump."""
 
     AT_NORMAL = "{who} jumps at normal incidence"
-    AT_HORIZON = "{who} is black where {direction} is near the horizon, and lit above"
+    AT_HORIZON = "{who} is zero at grazing {direction} but not at smaller angles"
 
 
 # Tilt from the normal, in radians, and the part of all values that may change by it: a
@@ -108,6 +108,6 @@ def check_cutoffs(evidence: Evidence, condition: Condition) -> None:
         if ones[k] < MIN_LAST * max(ones):
             continue  # it has faded before
         theta = np.degrees(np.arccos(last))
-        text = f"black for theta_{name[1]} beyond {theta:.4g} degrees, {condition.side}"
+        text = f"zero for theta_{name[1]} beyond {theta:.4g} degrees, {condition.side}"
         guess, how = Continuity.AT_HORIZON(EVAL, direction=name), {"size": float(last)}
         evidence.breach(CONTINUITY, guess, condition, statistic=text, **how)

@@ -18,8 +18,8 @@ from ..mueller import Lobes
 class Energy(Mistake):
     """What is wrong with the flux that leaves."""
 
-    LOSES = "{who} loses light: {found}"
-    GAINS = "{who} gains light: {found}"
+    LOSES = "{who} is not energy conserving: {found}"
+    GAINS = "{who} is not energy conserving: {found}"
     NOT_1 = "{who} integrates to {flux}, where a phase function has 1"
 
 
@@ -33,8 +33,8 @@ def _guess(evidence: Evidence) -> Guess:
         return own[0]
     function, most = SAMPLE if gains else EVAL, max(totals, default=1.0)
     if most < 1:  # a phase function, which absorbs nothing
-        return Energy.LOSES(function, found=f"{min(totals):.4g} of it leaves")
-    return Energy.GAINS(function, found=f"{most:.4g} of it leaves")
+        return Energy.LOSES(function, found=f"albedo {min(totals):.4g}")
+    return Energy.GAINS(function, found=f"albedo {most:.4g}")
 
 
 ENERGY = Question(

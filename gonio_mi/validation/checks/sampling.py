@@ -33,7 +33,7 @@ class Sampling(Mistake):
 
     MORE_THAN_1 = "{who} integrates to {mass:.4g}, more than 1{dark}"
     DARK_SIDE = """{who} is not 0 from a side that `flags` does not declare, where
-        `eval` is black and `sample` scatters nothing"""
+        `eval` is zero and `sample` scatters nothing"""
     OTHER_PROBABILITY = """{who}: directions are drawn with another probability than
         `pdf` says ({sums})"""
     ROULETTE = """{who} rejects directions by a Russian roulette of its own, and its
@@ -63,7 +63,7 @@ def check_maps(evidence: Evidence, maps: FourMaps) -> None:
     slack = max(maps.pdf_sum_bound, SUM_ERROR) + maps.due.unused.sum_bound
     if used + unused > 1 + slack:
         harmless = used <= 1 + slack
-        dark = f", {unused:.4g} of it where `eval` is black" if harmless else ""
+        dark = f", {unused:.4g} of it where `eval` is zero" if harmless else ""
         evidence.breach(
             SAMPLING,
             Sampling.MORE_THAN_1(PDF, mass=used + unused, dark=dark),

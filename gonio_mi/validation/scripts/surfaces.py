@@ -137,7 +137,9 @@ for points in (np.arange(n) * [[1 / n], [0.618034]] + rng.random((16, 2, 1))) % 
     due += [4 * np.pi * np.mean(DENSITY * moments(wo), axis=1)]
 a, b = np.mean(drawn, axis=1), np.mean(due, axis=0)
 error = np.hypot(np.std(drawn, axis=1) / n**0.5, np.std(due, axis=0) / 4)
-a, b, error = np.transpose([a, b, error])[np.argmax(np.abs(a - b) / error)]
+k = np.argmax(np.abs(a - b) / error)
+print("Of all directions, the mean of", ("1", "wo.x", "wo.y", "wo.z")[k])
+a, b, error = a[k], b[k], error[k]
 # %% MASS: whole apart
 density, b = pdf, 1
 # %% MASS_OF_A_DARK_SIDE: whole apart
@@ -208,6 +210,7 @@ straight = np.array(mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null))
 a = np.mean((light() * np.array(bs.pdf))[straight])
 b = np.mean(bsdf.eval_null_transmission(si, True))
 # %% DIRECTION_OF_A_LOBE: by_sample
+# x of its direction, and of the mirror's
 a, b, counts = bs.wo.x, mi.reflect(si.wi).x, alike
 # %% WEIGHTS_OF_A_LOBE: equal
 a, b = np.min(light()[alike]), np.max(light()[alike])
@@ -267,6 +270,7 @@ for theta in np.radians([0, 1e-3, 89.99, 90, 90.01, 120, 179.999, 180]):
         x += [np.ravel(np.where(dr.squared_norm(wo) > 0.5, QUANTITY, 0))]
 x = np.concatenate(x)
 # %% GRADIENT: equal
+# by how much the sum of all answers changes with the parameter
 params = mi.traverse(bsdf)
 
 
