@@ -37,6 +37,8 @@ class Counts(Mistake):
         and `eval` is not zero, at {place}"""
     LOST = """{who} gives no direction for {part:.4g} of its numbers, where `pdf`
         integrates to 1"""
+    REJECTED = """{who} rejects {part:.3g} of its directions, where `pdf` and `eval` are
+        not 0"""
     MASS = "{sums}"
     NOT_OF_SAMPLE = """{who} is not the density of `sample`, whose weights are right
         ({sums})"""
@@ -191,6 +193,16 @@ def _of_right_weights(counted: _Counted) -> Guess | None:
     return Counts.NOT_OF_SAMPLE(PDF, sums=counted.sums) if right else None
 
 
+def _rejected(counted: _Counted) -> Guess | None:
+    """Samples that fail though all is well with their directions."""
+    bsdf, condition = counted.evidence.bsdf, counted.maps.condition
+    samples = samples_of(bsdf, condition, N_REDRAWN, (0, 72))
+    length = np.linalg.norm(samples.wo, axis=1)
+    lost = ~samples.given & (np.abs(length - 1) < BSDF_ROUNDING) & (samples.pdf > 0)
+    part = np.mean(lost & (samples.eval > 0).any(axis=1))
+    return Counts.REJECTED(SAMPLE, part=part) if part > MAX_LOST else None
+
+
 def _of_component(counted: _Counted) -> Guess | None:
     """What is wrong with one component alone; None if no or more than one is."""
     evidence = counted.evidence
@@ -336,7 +348,7 @@ def _distorted(counted: _Counted) -> Guess | None:
 OF_COUNTS = (
     lambda counted: as_turned(counted.evidence),
     *(_outside, _beside, _distorted, _lost, _unnormalised),
-    *(_of_right_weights, _of_component, _otherwise),
+    *(_of_right_weights, _rejected, _of_component, _otherwise),
 )
 
 

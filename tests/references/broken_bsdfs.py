@@ -29,8 +29,8 @@ RIGHT = (
 )
 
 # Where weight times pdf is one account and `eval` another, and nothing tells which of
-# both is right: neither gains light, both are reciprocal. So it is where lobes, each
-# right alone, are drawn with another probability than `pdf` says.
+# both is right: neither gains light, both are reciprocal. So it is where lobes, or
+# directions of one, are drawn with another probability than `pdf` says.
 EITHER = (
     "eval_five_percent_less",
     "weight_five_percent_less",
@@ -41,6 +41,7 @@ EITHER = (
     "eval_eta2_upside_down",
     "lobes_picked_the_wrong_way",
     "sample_reused",
+    "axes_swapped",
 )
 
 MISTAKES = {
@@ -156,7 +157,7 @@ def judged(name, effort):
 
 
 def register():
-    """Define and register all plugins for the variant that is set."""
+    """Define and register all plugins for the variant that is set; return them."""
     flags = mi.BSDFFlags
     diffuse = int(flags.DiffuseReflection)
     glossy = int(flags.GlossyReflection)
@@ -1079,3 +1080,4 @@ def register():
 
     found = [one for one in locals().values() if isinstance(one, type)]
     plain_bsdf.register(one for one in found if one is not Plugin)
+    return {plain_bsdf.name_of(one): one for one in found}

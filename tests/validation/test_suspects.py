@@ -1,6 +1,7 @@
 # ruff: noqa: ARG002 (every method has Mitsuba's signature)
-"""Directions of which the density is `pdf` but for a factor: which of both is wrong."""
+"""Which function is wrong: of a density but for a factor, or beside another mistake."""
 
+import broken_bsdfs
 import drjit as dr
 import mitsuba as mi
 import pytest
@@ -94,3 +95,46 @@ def test_a_density_that_is_cut_off_is_right():
     verdict = validate({"type": "suspects"}, effort="quick", allow="reciprocity")
     assert verdict.passed, str(verdict)
     assert verdict["sampling"].status == "holds"
+
+
+# Broken ones that are lit from above alone.
+ONE_SIDED = (
+    *("eval_without_cosine", "eval_with_two_cosines", "eval_without_pi"),
+    *("eval_gains_one_percent", "eval_nan_at_grazing", "weight_without_division"),
+    *("weight_with_cosine", "weight_five_percent_less", "sample_not_unit"),
+    *("pdf_half_a_percent_off", "phi_with_wrong_sign", "density_without_jacobian"),
+    *("value_without_cosine", "gradient_detached"),
+)
+
+
+@pytest.fixture
+def unguarded(mono):
+    """A function that registers a plugin whose ``pdf`` does not look at wi.z."""
+    del mono
+    plugins = broken_bsdfs.register()
+
+    def add(name):
+        class Unguarded(plugins[name]):
+            def pdf(self, ctx, si, wo, active=True):
+                above = mi.SurfaceInteraction3f(si)
+                above.wi = mi.Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
+                return super().pdf(ctx, above, wo, active)
+
+        mi.register_bsdf("unguarded", Unguarded)
+        return {"type": "unguarded"}
+
+    return add
+
+
+@pytest.mark.parametrize("name", ONE_SIDED)
+def test_an_unguarded_pdf_is_blamed_for_nothing_else(name, unguarded):
+    verdict = validate(unguarded(name), effort="quick")
+    assert verdict.function == broken_bsdfs.judged(name, "quick").function, str(verdict)
+    assert "sampling" in {one.name for one in verdict.failures}
+
+
+def test_twin_an_unguarded_pdf_alone_is_named(unguarded):
+    verdict = validate(unguarded("lambert"), effort="quick")
+    assert verdict.passed
+    assert verdict.function == "pdf"
+    assert [one.name for one in verdict.failures] == ["sampling"]
