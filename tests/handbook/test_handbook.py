@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from museum import EXHIBITS
 
 import gonio_mi as gonio
 from gonio_mi.cli import COMMANDS
@@ -70,3 +71,14 @@ def test_the_page_of_other_programs_names_every_ending():
     page = (PAGES / "other_programs.md").read_text(encoding="utf-8")
     endings = {ending for one in reading._all() for ending in one.endings}
     assert {ending for ending in endings if f"`{ending}`" not in page} == set()
+
+
+def test_the_museum_has_a_row_of_every_exhibit():
+    rows = (PAGES / "museum.md").read_text(encoding="utf-8").splitlines()
+    for one in EXHIBITS.values():
+        place = "https://github.com/" + one.thread.replace("#", "/issues/") + ")"
+        (row,) = (line for line in rows if place in line)
+        assert any(f"`{name}`" in row for name in one.functions.split())
+        assert any(f"`{name}`" in row for name in one.properties.split())
+    assert sum("https://github.com/" in row and row[0] == "|" for row in rows) == 25
+    assert len(EXHIBITS) == 25
