@@ -44,10 +44,6 @@ class Counts(Mistake):
         ({sums})"""
     OTHER_PROBABILITY = """{who}: directions are drawn with another probability than
         `pdf` says: {where}"""
-    OTHER_LOBES = """{who}: lobes or directions are drawn with another probability than
-        `pdf` says: {where}"""
-    OTHER_DIRECTIONS = """{who} draws directions with another probability than `pdf`
-        says: {where}"""
     FACTOR_OF_PDF = "{who} {of_pdf} ({sums})"
     FACTOR_OF_SAMPLE = "{who}: its density {of_sample} ({sums})"
     FACTOR_OF_EITHER = "`pdf` {of_pdf}, or the density of `sample` {of_sample} ({sums})"
@@ -226,12 +222,11 @@ def _otherwise(counted: _Counted) -> Guess:
         for s in samples
         for one in zip(s.component[s.smooth].tolist(), s.type[s.smooth].tolist())
     }
-    if len(lobes) > 1 and counted.maps.condition.component is None:
-        return Counts.OTHER_LOBES(SAMPLE | PDF, where=where)
-    if lobes and abs(_mass_of_pdf(counted.maps) - 1) > MAX_LOST:
-        # a density that is not complete may be the wrong one as well
-        return Counts.OTHER_PROBABILITY(SAMPLE | PDF, where=where)
-    return Counts.OTHER_DIRECTIONS(SAMPLE, where=where)
+    several = len(lobes) > 1 and counted.maps.condition.component is None
+    # a density that is not complete may be the wrong one as well
+    incomplete = lobes and abs(_mass_of_pdf(counted.maps) - 1) > MAX_LOST
+    guilty = SAMPLE | PDF if several or incomplete else SAMPLE
+    return Counts.OTHER_PROBABILITY(guilty, where=where)
 
 
 def _misfit(maps: FourMaps) -> float:

@@ -124,7 +124,7 @@ def _without_counts(evidence: Evidence, failed: Mapping[str, str]) -> Guess | No
         return explain(ratios_of(evidence, OF_SAMPLED_PDF), OF_SAMPLED_PDF)
     if "weights" in failed and not evidence.of("sampled_weight"):
         return _changed(evidence) or guess_of_counts(evidence, True) or ANY
-    return explain_weights(evidence, failed)
+    return explain_weights(evidence)
 
 
 def _changed(evidence: Evidence) -> Guess | None:

@@ -5,7 +5,7 @@ And whether the weight of ``sample`` or ``eval`` is wrong, if anything tells.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from ..array_types import Flags, Floats
 from .conditions import Sweep
-from .evidence import BIAS, Evidence
+from .evidence import Evidence
 from .mistakes import EVAL, PDF, SAMPLE, Function, Guess, Mistake
 from .probe import Probe, is_delta, numbers, spectral, uniform
 from .samples import Samples, beyond_rounding, ratio_of, unequal
@@ -377,16 +377,10 @@ MAX_LOG_SAME, MIN_LOG_OTHER = 0.03, 0.1
 MIN_SAME, MIN_OTHER = 0.9, 0.15
 
 
-def explain_weights(evidence: Evidence, failed: Collection[str]) -> Guess:
+def explain_weights(evidence: Evidence) -> Guess:
     """Function and mistake, where weight times pdf is not ``eval``.
 
-    Parameters
-    ----------
-    evidence : Evidence
-        In which directions are drawn with the density of ``pdf``, or that could not be
-        decided.
-    failed : collection of str
-        Names of properties.
+    Directions are drawn with the density of ``pdf``, or that could not be decided.
     """
     whole = evidence.of("sampled_weight")
     if whole and all(b.condition and b.condition.component is not None for b in whole):
@@ -401,7 +395,7 @@ def explain_weights(evidence: Evidence, failed: Collection[str]) -> Guess:
         return Factor.COLOURS(EVAL | SAMPLE, colours=colours)
     if _is_of_lobe_alone(evidence):
         return Factor.OF_LOBE_ALONE(SAMPLE)
-    guilty = _by_energy(evidence) or _by_answers(evidence, failed)
+    guilty = _by_energy(evidence)
     if not guilty and not int(evidence.bsdf.flags()) & int(mi.BSDFFlags.NonSymmetric):
         guilty = _by_reciprocity(evidence.bsdf, ratios)
     if guilty is EVAL:
@@ -441,15 +435,6 @@ def _by_energy(evidence: Evidence) -> Function | None:
     if flux + discrete > 1.001 > mean:
         return EVAL
     return SAMPLE if mean > 1.001 > flux + discrete else None
-
-
-def _by_answers(evidence: Evidence, failed: Collection[str]) -> Function | None:
-    """Whichever of both gives improper values; None if neither does."""
-    own = [b for b in evidence.of("answers") if b.effect == BIAS]
-    if "answers" not in failed or not own:
-        return None
-    worst = max(own, key=lambda b: b.size).guess.functions
-    return worst if worst in (EVAL, SAMPLE) else None
 
 
 def _by_reciprocity(bsdf: mi.BSDF, ratios: Sequence[Ratio]) -> Function | None:

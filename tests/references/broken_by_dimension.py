@@ -579,6 +579,23 @@ class UnguardedPdfAndWeight:
         return 0.9 * super().weight(ctx, si, bs)
 
 
+@broken("names", "pdf", "highlights of the sky too wide: every density of a lobe is")
+class DensityOfOneOfTwo(Coat):
+    def glossy_density(self, si, wo):
+        own, self.alpha = self.alpha, 1.3 * self.alpha
+        density = super().glossy_density(si, wo)
+        self.alpha = own
+        return density
+
+
+@broken("names", "pdf", "highlights of the sky too bright: pdf integrates to 0.97")
+class DensityWithoutRareLobe(Coat):
+    share = 0.03
+
+    def glossy_density(self, si, wo):
+        return mi.Float(0)
+
+
 # ------------------------------------------- phase functions and Mueller matrices
 
 

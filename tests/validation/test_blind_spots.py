@@ -435,7 +435,7 @@ def test_a_lobe_drawn_too_often_is_told_so(drawn):
     assert judged["flags"].status == "holds"
     assert judged.passed == (drawn == 0.5)
     if not judged.passed:
-        assert judged.mistake.startswith("`sample` or `pdf`: lobes or directions are")
+        assert judged.mistake.startswith("`sample` or `pdf`: directions are drawn")
 
 
 class Stub(Matte):
