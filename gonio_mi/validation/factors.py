@@ -48,7 +48,7 @@ class Factor(Mistake):
     NOT_DIVIDED = "{subject} lacks division by {factor}{where}"
     DIVIDED_TWICE = "{subject} is divided once more by {factor}{where}"
     CONSTANT = """`eval` or the weight of `sample`: they differ by a constant factor,
-        weight times pdf is {factor:.4g} times `eval`{where}"""
+        weight times pdf is {factor} times `eval`{where}"""
     EITHER = """`eval` or the weight of `sample`: weight times pdf, over `eval`,
         {ratio}{where}"""
     OTHER_SUMS = """{who}: the weights do not sum up to `eval`, where directions agree
@@ -215,12 +215,16 @@ def explain(ratios: Sequence[Ratio], two: Between) -> Guess:
 def _explain_neutrally(ratios: Sequence[Ratio]) -> Guess:
     """Ratio of weight and ``eval`` where nothing tells which of them is wrong."""
     wrong = _wrong(ratios)
-    found = _find(wrong)
+    found, where = _find(wrong), _where(wrong, ratios)
+    middle = float(np.median(wrong[0].values))
+    if all(_is_one(one.values / middle) for one in wrong):
+        text = f"{middle:.4g}"
+        if found is not None:
+            text = (
+                FACTORS[found.name] if found.power > 0 else f"1/{FACTORS[found.name]}"
+            )
+        return Factor.CONSTANT(EVAL | SAMPLE, factor=text, where=where)
     if found is None:
-        middle = float(np.median(wrong[0].values))
-        if all(_is_one(one.values / middle) for one in wrong):
-            where = _where(wrong, ratios)
-            return Factor.CONSTANT(EVAL | SAMPLE, factor=middle, where=where)
         text = _in_numbers(wrong, ratios)
         return Factor.EITHER(EVAL | SAMPLE, ratio=text, where="")
     text, constant = FACTORS[found.name], found.constant
@@ -228,7 +232,6 @@ def _explain_neutrally(ratios: Sequence[Ratio]) -> Guess:
         text = f"{constant or 1:.4g} over {text}"
     elif constant is not None:
         text = f"{constant:.4g} times {text}"
-    where = _where(wrong, ratios)
     return Factor.EITHER(EVAL | SAMPLE, ratio=f"is {text}", where=where)
 
 
