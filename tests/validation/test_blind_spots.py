@@ -506,7 +506,7 @@ def test_a_null_lobe_is_compared_with_weight_times_pdf():
 
 def test_a_phase_function_that_loses_light_is_told_so():
     judged = verdict_of_phase(lambda _: 0.97, lambda _: 0.97)
-    assert judged.mistake == "`eval` loses light: 0.97 of it leaves"
+    assert judged.mistake == "`eval` is not energy conserving: albedo 0.97"
 
 
 @pytest.mark.parametrize("kept", [0.5, 0.6])

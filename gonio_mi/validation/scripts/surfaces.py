@@ -137,9 +137,8 @@ for points in (np.arange(n) * [[1 / n], [0.618034]] + rng.random((16, 2, 1))) % 
     due += [4 * np.pi * np.mean(DENSITY * moments(wo), axis=1)]
 a, b = np.mean(drawn, axis=1), np.mean(due, axis=0)
 error = np.hypot(np.std(drawn, axis=1) / n**0.5, np.std(due, axis=0) / 4)
-k = np.argmax(np.abs(a - b) / error)
-print("Of all directions, the mean of", ("1", "wo.x", "wo.y", "wo.z")[k])
-a, b, error = a[k], b[k], error[k]
+# of the means of 1, wo.x, wo.y and wo.z over all directions, the one that is most off
+a, b, error = np.transpose([a, b, error])[np.argmax(np.abs(a - b) / error)]
 # %% MASS: whole apart
 density, b = pdf, 1
 # %% MASS_OF_A_DARK_SIDE: whole apart
