@@ -17,7 +17,7 @@ from gonio_mi.validation.evidence import Breach, Test
 
 # Fault, factor, function that may be named, and what the mistake has to say.
 PLANTED = [
-    ("weight", 0.99, "sample", "0.99 everywhere"),
+    ("weight", 0.99, "sample", "0.99 times `eval`"),
     ("eval", 1.05, "eval", " 1.05 everywhere"),
     ("pdf", 1.05, "pdf", "1.05 everywhere"),
 ]
