@@ -18,8 +18,7 @@ from ..mueller import Lobes
 class Energy(Mistake):
     """What is wrong with the flux that leaves."""
 
-    LOSES = "{who} is not energy conserving: {found}"
-    GAINS = "{who} is not energy conserving: {found}"
+    NOT_CONSERVED = "{who} is not energy conserving: {found}"
     NOT_1 = "{who} integrates to {flux}, where a phase function has 1"
 
 
@@ -33,8 +32,8 @@ def _guess(evidence: Evidence) -> Guess:
         return own[0]
     function, most = SAMPLE if gains else EVAL, max(totals, default=1.0)
     if most < 1:  # a phase function, which absorbs nothing
-        return Energy.LOSES(function, found=f"albedo {min(totals):.4g}")
-    return Energy.GAINS(function, found=f"albedo {most:.4g}")
+        return Energy.NOT_CONSERVED(function, found=f"albedo {min(totals):.4g}")
+    return Energy.NOT_CONSERVED(function, found=f"albedo {most:.4g}")
 
 
 ENERGY = Question(
@@ -125,7 +124,7 @@ def check_gain(evidence: Evidence, lobes: Lobes) -> None:
         p_value = float(special.stdtr(half - 1, -z))
         how = {
             "off": max(0.0, mean - 1),
-            "guess": Energy.GAINS(function, found=text),
+            "guess": Energy.NOT_CONSERVED(function, found=text),
         }
         evidence.test(ENERGY, p_value, text, condition, **how)
 
