@@ -28,6 +28,7 @@ from .checks import (
     delta,
     directions,
     eval_pdf,
+    gradients,
     parameters,
     reciprocity,
     sampling,
@@ -245,10 +246,10 @@ def _steps(evidence: Evidence, plan: Effort) -> Iterator[float]:
     for side in sides:
         continuity.check_cutoffs(evidence, Condition(45.0, 25.0, side))
     answers.check_albedo(evidence)
-    parameters.check_samples(evidence, _brightest(evidence))
     explain_reciprocity(evidence)
     evidence.ask("parameters")
     yield from _check_maps(evidence, plan, sides, components)
+    gradients.check_samples(evidence, plan, _brightest(evidence))
     parameters.check_changes(evidence, plan, sides)
     if plan is not Effort.named("quick"):
         # it takes a second

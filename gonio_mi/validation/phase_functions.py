@@ -12,7 +12,7 @@ import numpy as np
 
 from ..array_types import Floats
 from ..transport.media import N_RINGED, ask_phase_function
-from .checks import answers, components, cost, parameters, sampling
+from .checks import answers, components, cost, gradients, parameters, sampling
 from .checks.consistency import check_again, check_identities
 from .checks.energy import ENERGY, Energy
 from .checks.reciprocity import RECIPROCITY, ratio_text
@@ -130,9 +130,9 @@ def examine_phase_function(evidence: Evidence, plan: Effort, effort: str) -> Non
     sides = sides_of(bsdf)
     check_again(evidence, plan, sides)
     evidence.ask("bsdf")
-    parameters.check_samples(evidence, evidence.samples[1])
     evidence.ask("parameters")
     _check_maps(evidence, plan, MAPPED[effort])
+    gradients.check_samples(evidence, plan, evidence.samples[1])
     parameters.check_changes(evidence, plan, sides)
     cost.check_recorded(evidence, ASKED[1])
 

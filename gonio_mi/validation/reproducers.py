@@ -280,7 +280,7 @@ def _words(verdict: Verdict, one: Property, kind: Kind | MatrixKind) -> dict[str
         "EXCLUDED": excluded if samples else "bsdf.component_count() == 1",
         "FLUX": "weight * bs.pdf" if samples else answer.replace("wo,", "bs.wo,"),
         "QUANTITY": quantity,
-        "SPECTRUM": "bsdf.eval(ctx, si, bs.wo, True)",
+        "SPECTRUM": answer.replace("wo,", "bs.wo,"),
         "ANSWER": answer,
     }
     words |= OF_WEIGHTS if one.name == "weights" else OF_SAMPLES

@@ -324,3 +324,41 @@ def test_gradients_of_numbers_colours_and_tables(kind, wrong, request):
     if wrong:
         name = "t.data" if kind == "texture" else "t"
         assert found.mistake == f"gradients of `eval` by {name} are not its changes"
+
+
+@pytest.mark.parametrize("wrong", ["", "pdf", "eval_pdf", "backward"])
+@pytest.mark.usefixtures("mono")
+def test_gradients_of_all_functions_both_ways(wrong):
+    """By one of two parameters; the density of `eval_pdf` alone may not be detached."""
+
+    class Halved(dr.CustomOp):
+        def eval(self, x):
+            return mi.Float(x)
+
+        def forward(self):
+            self.set_grad_out(self.grad_in("x"))
+
+        def backward(self):
+            self.set_grad_in("x", 0.5 * self.grad_out())
+
+    def pdf(self, *arguments):
+        found = Mixed.pdf(self, *arguments)
+        half = 0.5 * (found + dr.detach(found))
+        return dr.replace_grad(found, half) if wrong == "pdf" else found
+
+    def share(self):
+        return dr.custom(Halved, self.a) if wrong == "backward" else self.a
+
+    def eval_pdf(self, *arguments):
+        value, density = self.eval(*arguments), self.pdf(*arguments)
+        return value, dr.detach(density) if wrong == "eval_pdf" else density
+
+    judged = verdict(pdf=pdf, share=share, eval_pdf=eval_pdf)
+    found = judged["parameters"]
+    assert (found.status == "fails") == bool(wrong), str(judged)
+    if wrong:
+        function = "eval" if wrong == "backward" else wrong
+        way = "backward gradients" if wrong == "backward" else "gradients"
+        assert found.mistake.startswith(f"{way} of `{function}` by ")
+    if wrong in ("pdf", "backward"):
+        assert told(reproducer(judged, "parameters")) > 1

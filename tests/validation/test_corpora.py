@@ -21,13 +21,13 @@ NOT_YET = {
         cosine_of_the_face, tangent_of_the_mesh, eval_by_triangle, uv_clamped,
         uv_truncated, seam_of_the_texture, one_tile, clamped_below,
         pdf_above_half, pdf_detached, four_million_lanes, few_hundred_lanes,
-        tangents_sheared, mirrored_instance, eval_pdf_detached, backward_raises,
-        backward_with_wrong_sign, null_claimed,
+        tangents_sheared, mirrored_instance, null_claimed,
         phase_fades_with_time, phase_by_place, depolarises_with_time
     """,
     "unusual": """
-        blend of blends, blend of weight 0, blend by checks, two sides of blends,
-        stochastic_eval, rippled_eval, own_random_numbers, nan_at_grazing
+        blend of blends, blend of weight 0, blend by checks, two sides of
+        blends, stochastic_eval, rippled_eval, own_random_numbers,
+        nan_at_grazing
     """,
     "museum": "nan_straight_back",
 }

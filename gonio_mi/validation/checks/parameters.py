@@ -1,4 +1,4 @@
-"""`traverse` answers; gradients of `eval` are its changes."""
+"""`traverse` answers; functions follow parameters, and gradients are changes."""
 
 from __future__ import annotations
 
@@ -12,20 +12,17 @@ import numpy as np
 from ...array_types import Floats
 from ...transport.bsdf_trial import PluginFault
 from ..conditions import Condition, Effort, Sweep
-from ..evidence import BIAS, BREAKS, INTERFACE, MAX_P, SAME, Evidence, Question
+from ..evidence import BIAS, BREAKS, MAX_P, SAME, Evidence, Question
 from ..kinds import Kind
 from ..mistakes import EVAL, PDF, SAMPLE, Function, Mistake
 from ..probe import (
     Probe,
-    as_plugin_fault,
-    assign,
     changed,
     number_parameters,
     numbers,
     spectral,
     uniform,
     update,
-    vectors,
 )
 from ..samples import Samples, beyond_rounding, unequal
 from . import answers
@@ -47,6 +44,7 @@ class Parameters(Mistake):
     STALE = "{who} does not follow a change of {name}"
     STALE_ALONE = "{those} {does} not follow a change of {name} alone"
     UPDATE = "{who} changes {those} where no parameter has changed"
+    BACKWARD = "backward gradients of {who} by {name} are not its changes"
     GRADIENT = "gradients of {who} by {name} are not its changes"
 
 
@@ -62,42 +60,6 @@ MAX_ALONE, N_UPDATED = 8, 2**10
 # How near to 1 the length of a direction is.
 UNIT = 1e-4
 
-# Relative steps of central differences, whose error falls with their square: where the
-# three do not agree, there is nothing to compare with.
-STEPS = (2.0**-4, 2.0**-6, 2.0**-8)
-
-# Number in place of 1 from which no step leads beyond 1.
-BELOW_1 = 0.875
-
-# How many times the changes between steps a gradient may be off, and how many roundings
-# a value has.
-STEP_SLACK = 4
-N_ROUNDINGS = 64
-
-# Relative change of a value that a step may make.
-MAX_CHANGE = 0.2
-
-# Part of the directions whose values may jump with a parameter.
-MAX_JUMPS = 0.1
-
-
-def check_samples(evidence: Evidence, samples: Samples) -> None:
-    """Check ``traverse``, and gradients of ``eval`` against finite differences."""
-    try:
-        params, values = number_parameters(evidence.bsdf, mi.TensorXf)
-        usable = samples.smooth & np.isfinite(samples.eval).all(axis=1)
-        if usable.any() and hasattr(dr, "enable_grad") and "_ad_" in mi.variant():
-            wo = vectors(samples.wo[usable])
-            for name, value in values.items():
-                fixed = params.flags(name) & mi.ParamFlags.NonDifferentiable.value
-                # not at 0, where most ranges end and a lobe may vanish
-                if not fixed and np.array(value).any():
-                    _check_gradient(evidence, samples.condition, params, name, wo)
-    except PluginFault as fault:
-        # images need none of it
-        effect = INTERFACE if fault.function == "traverse" else ""
-        evidence.breach_of_fault(PARAMETERS, fault, effect=effect)
-
 
 def check_changes(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> None:
     """Check that all functions follow a change of all parameters, or of each alone."""
@@ -107,8 +69,7 @@ def check_changes(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> Non
     values = _changeable(evidence.bsdf)
     if not values:
         return
-    # those in C++ may rebuild tables at each update, which takes longer than all else
-    if type(evidence.bsdf) is not mi.BSDF or plan != Effort.named("quick"):
+    if may_update_often(evidence, plan):
         _check_updates(evidence, values, sides)
     others = {name: _other(value) for name, value in values.items()}
     after = _after(evidence, plan, sides, others)
@@ -133,6 +94,14 @@ def check_changes(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> Non
             how = {"kind": Kind.DENSITY_AFTER_A_CHANGE, "about": name, "guess": guess}
             evidence.test(PARAMETERS, min(1.0, p), text, **how)
         return
+
+
+def may_update_often(evidence: Evidence, plan: Effort) -> bool:
+    """Whether there is time for many updates of parameters.
+
+    Plugins in C++ may rebuild tables at each, which takes longer than all else.
+    """
+    return type(evidence.bsdf) is not mi.BSDF or plan != Effort.named("quick")
 
 
 def _check_updates(
@@ -205,7 +174,7 @@ def few(values: dict[str, Any]) -> list[str]:
 def _other(value: Any, step: float | None = None) -> Any:
     """Another value, of a relative step; without it a large one in usual ranges."""
     x = np.array(value, dtype=float)
-    turns, size = _turns(x), np.abs(x).max(initial=0)
+    spread, size = turns(x), np.abs(x).max(initial=0)
     table = isinstance(value, mi.TensorXf)
     may_be_unit = x.size > 1 and not isinstance(value, (mi.Color3f, mi.Spectrum))
     if size == 0:
@@ -215,17 +184,17 @@ def _other(value: Any, step: float | None = None) -> Any:
             # not beyond 1, where ranges end
             step = -FAR if size <= 1 or table else FAR
         if may_be_unit and not table and abs(np.linalg.norm(x) - 1) < UNIT:
-            x = x + step * turns
+            x = x + step * spread
             x = x / np.linalg.norm(x)
         else:
             # a table not in proportion, of which a density knows nothing
-            x = x * (1 + step * (turns if table else 1))
+            x = x * (1 + step * (spread if table else 1))
     other = type(value)(np.float32(x))
     dr.make_opaque(other)
     return other
 
 
-def _turns(x: Floats) -> Floats:
+def turns(x: Floats) -> Floats:
     """Numbers from 0 to 1 spread evenly, of the shape of an array; the first is 0."""
     return np.reshape(np.arange(x.size) * GOLDEN % 1, x.shape)
 
@@ -296,68 +265,3 @@ def _stale(before: Samples, found: Evidence) -> Function:
             return PDF
         return SAMPLE if still[before.usable].all() else SAMPLE | PDF
     return next(b.guess.functions for b in found.breaches if b.effect == BIAS)
-
-
-def _check_gradient(
-    evidence: Evidence, condition: Condition, params: Any, name: str, wo: mi.Vector3f
-) -> None:
-    """Check gradients of ``eval``, one per direction, against central differences.
-
-    Along a line on which no two numbers of a colour or a table change alike.
-    """
-    bsdf, kind = evidence.bsdf, type(params[name])
-    x = np.array(params[name], dtype=float)
-    # most ranges end at 1
-    x = np.where(x == 1, BELOW_1, x)
-    size = float(np.max(np.abs(x)))
-    slope = kind(np.float32(x / size * (1 - _turns(x) / 2)))
-    value = kind(np.float32(x))
-
-    def answer(step: float) -> Floats:
-        assign(params, {name: kind(value + step * size * slope)})
-        return spectral(Probe(bsdf, condition).eval(wo), dr.width(wo))
-
-    along = mi.Float(0)
-    dr.enable_grad(along)
-    with changed(bsdf, {name: value}):  # once there and back: updates may take long
-        here = spectral(Probe(bsdf, condition).eval(wo), dr.width(wo))
-        pairs = [(answer(h), answer(-h), 2 * h * size) for h in STEPS]
-        assign(params, {name: kind(value + along * slope)})
-        gradient = _gradient(bsdf, condition, along, wo)
-    coarse, middle, fine = ((above - below) / width for above, below, width in pairs)
-    # each value is known to some roundings
-    noise = N_ROUNDINGS * np.finfo(np.float32).eps * (pairs[-1][0] + pairs[-1][1])
-    changes = np.abs(fine - middle) + np.abs(middle - coarse)
-    slack = STEP_SLACK * changes + noise / pairs[-1][2]
-    wrong = ~(np.abs(gradient - fine) <= slack)
-    # where the smallest step changes much, differences know nothing of the slope
-    wrong &= np.all(
-        [np.abs(x - here) <= MAX_CHANGE * here for x in pairs[-1][:2]], axis=0
-    )
-    # jumps, of which a gradient knows nothing, are in few directions
-    share = float(wrong.any(axis=1).mean())
-    if share > MAX_JUMPS:
-        # colours may exchange theirs
-        i = int(wrong.sum(axis=0).argmax())
-        own, due = (float(np.median(x[wrong[:, i], i])) for x in (gradient, fine))
-        evidence.breach(
-            PARAMETERS,
-            Parameters.GRADIENT(EVAL, name=name),
-            condition,
-            statistic=f"by {name}: for {share:.3g} of the directions at {condition}, "
-            f"with the median {own:.4g} where differences have {due:.4g}",
-            size=share,
-            kind=Kind.GRADIENT,
-            about=name,
-        )
-
-
-def _gradient(
-    bsdf: mi.BSDF, condition: Condition, variable: mi.Float, wo: mi.Vector3f
-) -> Floats:
-    """Derivatives of ``eval`` by what a parameter depends on, shape (n, channels)."""
-    answer = Probe(bsdf, condition).eval(wo)
-    with as_plugin_fault("eval"):
-        flags = dr.ADFlag.Default | dr.ADFlag.AllowNoGrad
-        dr.forward(variable, flags=flags)
-    return spectral(dr.grad(answer), dr.width(wo))

@@ -1,0 +1,264 @@
+"""Gradients of functions, forward and backward, are their changes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ...array_types import Flags, Floats
+from ...single_precision import BSDF_ROUNDING
+from ...transport.bsdf_trial import PluginFault
+from ..conditions import Effort
+from ..evidence import INTERFACE, Evidence
+from ..kinds import Kind
+from ..mistakes import EVAL, PDF, Function
+from ..probe import (
+    Probe,
+    as_plugin_fault,
+    assign,
+    changed,
+    floats,
+    number_parameters,
+    numbers,
+    spectral,
+    vectors,
+)
+from ..samples import Samples
+from .parameters import GOLDEN, PARAMETERS, Parameters, may_update_often, turns
+
+# Relative steps of central differences, whose error falls with their square: where the
+# three do not agree, there is nothing to compare with.
+STEPS = (2.0**-4, 2.0**-6, 2.0**-8)
+
+# Number in place of 1 from which no step leads beyond 1.
+BELOW_1 = 0.875
+
+# How many times the changes between steps a gradient may be off, and how many roundings
+# a value has.
+STEP_SLACK = 4
+N_ROUNDINGS = 64
+
+# Relative change of a value that a step may make.
+MAX_CHANGE = 0.2
+
+# Part of the directions whose values may jump with a parameter.
+MAX_JUMPS = 0.1
+
+# Directions in which all functions are asked by all parameters at once.
+N_ASKED = 2**10
+
+# The graph stays: all functions follow what an update has prepared.
+FLAGS = dr.ADFlag.ClearVertices | dr.ADFlag.AllowNoGrad
+
+EVAL_PDF = Function.EVAL_PDF
+
+# What functions answer, a value before a density.
+FUNCTIONS: Mapping[Function, Callable[[Probe, mi.Vector3f], tuple[Any, ...]]] = {
+    EVAL: lambda probe, wo: (probe.eval(wo),),
+    PDF: lambda probe, wo: (probe.pdf(wo),),
+    EVAL_PDF: Probe.eval_pdf,
+}
+
+
+@dataclass(frozen=True)
+class _Line:
+    """Parameters along a line on which no two numbers of them change alike.
+
+    Attributes
+    ----------
+    kinds, values, slopes : dict
+    size : float
+        The largest number of the first.
+    """
+
+    kinds: dict[str, type]
+    values: dict[str, Floats]
+    slopes: dict[str, Floats]
+    size: float
+
+    @classmethod
+    def through(cls, params: Any, names: Sequence[str]) -> _Line:
+        """Line of all these parameters."""
+        # most ranges end at 1
+        values = {name: np.array(params[name], dtype=float) for name in names}
+        values = {name: np.where(x == 1, BELOW_1, x) for name, x in values.items()}
+        size = float(np.abs(values[names[0]]).max())
+        slopes = {
+            name: x / size * (1 - turns(x) / 2) * (1 - i * GOLDEN % 1 / 2)
+            for i, (name, x) in enumerate(values.items())
+        }
+        return cls({k: type(params[k]) for k in names}, values, slopes, size)
+
+    def at(self, step: float = 0, along: mi.Float | None = None) -> dict[str, Any]:
+        """Values at a step, which depend on a variable if there is one."""
+        found = {}
+        for name, kind in self.kinds.items():
+            value = kind(np.float32(self.values[name] + step * self.slopes[name]))
+            # one by one: literals, or all at once, would be a kernel of their own
+            dr.make_opaque(value)
+            if along is not None:
+                slope = kind(np.float32(self.slopes[name]))
+                dr.make_opaque(slope)
+                value += along * slope
+                dr.make_opaque(value)
+            found[name] = value
+        return found
+
+
+def check_samples(evidence: Evidence, plan: Effort, samples: Samples) -> None:
+    """Check ``traverse``, and gradients against finite differences.
+
+    Of ``eval`` forward, by each parameter; of all functions also backward, by all
+    parameters at once, and by each where that shows something. The latter where
+    updates may be many.
+    """
+    try:
+        params, values = number_parameters(evidence.bsdf, mi.TensorXf)
+    except PluginFault as fault:
+        evidence.breach_of_fault(PARAMETERS, fault, effect=INTERFACE)
+        return
+    usable = samples.smooth & np.isfinite(samples.eval).all(axis=1)
+    if not usable.any() or "_ad_" not in mi.variant():
+        return
+    fixed = mi.ParamFlags.NonDifferentiable.value
+    # not at 0, where most ranges end and a lobe may vanish
+    names = [k for k, x in values.items() if np.array(x).any()]
+    names = [name for name in names if not params.flags(name) & fixed]
+    probe, wo = Probe(evidence.bsdf, samples.condition), samples.wo[usable]
+    closely = may_update_often(evidence, plan)
+    if closely and len(names) > 1:
+        try:
+            found = _wrong(probe, _Line.through(params, names), wo[:N_ASKED], True)
+            wrong = {guess.functions for guess, _, _ in found}
+            # what `eval_pdf` says of a wrong `eval` is no news
+            closely = bool(wrong - {EVAL, EVAL_PDF} if EVAL in wrong else wrong)
+        except PluginFault:
+            closely = True  # by which?
+    for name in names:
+        try:
+            for guess, text, size in _wrong(
+                probe, _Line.through(params, [name]), wo, closely
+            ):
+                evidence.breach(
+                    PARAMETERS,
+                    guess,
+                    samples.condition,
+                    statistic=f"by {name}: {text} at {samples.condition}",
+                    size=size,
+                    kind=Kind.GRADIENT,
+                    about=name,
+                )
+        except PluginFault as fault:
+            # images need none of it
+            how = {"kind": Kind.GRADIENT, "about": name}
+            evidence.breach_of_fault(PARAMETERS, fault, **how)
+
+
+def _wrong(
+    probe: Probe, line: _Line, wo: Floats, closely: bool
+) -> Iterator[tuple[Any, str, float]]:
+    """Guess, text and size of wrong gradients, one per direction, along a line.
+
+    Unless `closely`, of ``eval`` forward alone.
+    """
+    name, asked = ", ".join(line.kinds), [*FUNCTIONS] if closely else [EVAL]
+    params = mi.traverse(probe.bsdf)
+
+    def answers(step: float) -> dict[Function, Floats]:
+        assign(params, line.at(step))
+        return {one: _columns(FUNCTIONS[one](probe, vectors(wo)), wo) for one in asked}
+
+    along = dr.opaque(mi.Float, 0)
+    dr.enable_grad(along)
+    with changed(probe.bsdf, line.at()):  # once there and back: updates may take long
+        here = answers(0)
+        pairs = [(answers(h * line.size), answers(-h * line.size)) for h in STEPS]
+        assign(params, line.at(0, along))
+        slopes = _forward(probe, asked, along, wo)
+        # densities may be detached in all functions: those of samples are
+        detached = all(not x[:, -1].any() for f, x in slopes.items() if f != EVAL)
+        for one in asked:
+            slope, due, wrong = (
+                slopes[one],
+                *_differences(
+                    here[one],
+                    [[x[one] for x in pair] for pair in pairs],
+                    slopes[one],
+                    line,
+                ),
+            )
+            if detached and one != EVAL:
+                wrong[:, -1] = False
+            # jumps, of which a gradient knows nothing, are in few directions
+            share = float(wrong.any(axis=1).mean())
+            if share > MAX_JUMPS:
+                # colours may exchange theirs
+                i = int(wrong.sum(axis=0).argmax())
+                own, expected = (np.median(x[wrong[:, i], i]) for x in (slope, due))
+                text = f"for {share:.3g} of the directions, with the median {own:.4g} "
+                text += f"where differences have {expected:.4g}"
+                yield Parameters.GRADIENT(one, name=name), text, share
+            elif closely:
+                right = ~wrong.any(axis=1)
+                own, expected, slack = _backward(
+                    probe, one, along, wo[right], slope[right]
+                )
+                if not abs(own - expected) <= slack:
+                    text = f"{own:.4g} where forward gradients have {expected:.4g}"
+                    yield Parameters.BACKWARD(one, name=name), text, 1.0
+
+
+def _columns(parts: tuple[Any, ...], wo: Floats) -> Floats:
+    """All channels of all parts of an answer, shape (n, columns)."""
+    each = [
+        numbers(x, len(wo)) if type(x) is mi.Float else spectral(x, len(wo))
+        for x in parts
+    ]
+    return np.column_stack(each).astype(float)
+
+
+def _differences(
+    here: Floats, pairs: Sequence[Sequence[Floats]], slope: Floats, line: _Line
+) -> tuple[Floats, Flags]:
+    """Central differences, and where a gradient is not theirs."""
+    widths = [2 * h * line.size for h in STEPS]
+    coarse, middle, fine = ((a - b) / width for (a, b), width in zip(pairs, widths))
+    # each value is known to some roundings
+    noise = N_ROUNDINGS * np.finfo(np.float32).eps * (pairs[-1][0] + pairs[-1][1])
+    changes = np.abs(fine - middle) + np.abs(middle - coarse)
+    wrong = ~(np.abs(slope - fine) <= STEP_SLACK * changes + noise / widths[-1])
+    # where the smallest step changes much, differences know nothing of the slope
+    small = [np.abs(x - here) <= MAX_CHANGE * here for x in pairs[-1]]
+    return fine, wrong & np.all(small, axis=0)
+
+
+def _forward(
+    probe: Probe, asked: Sequence[Function], along: mi.Float, wo: Floats
+) -> dict[Function, Floats]:
+    """Derivatives of answers by what parameters depend on, shape (n, columns)."""
+    answers = {one: FUNCTIONS[one](probe, vectors(wo)) for one in asked}
+    with as_plugin_fault(str(asked[0])):
+        dr.forward(along, flags=FLAGS)
+    return {k: _columns(tuple(map(dr.grad, x)), wo) for k, x in answers.items()}
+
+
+def _backward(
+    probe: Probe, function: Function, along: mi.Float, wo: Floats, slope: Floats
+) -> tuple[float, float, float]:
+    """Derivative of a weighted sum, what it should be, and how far it may be off."""
+    answer = FUNCTIONS[function](probe, vectors(wo))
+    weights, total = 0.5 + turns(slope), mi.Float(0)
+    rows = [x for part in answer for x in ([part] if type(part) is mi.Float else part)]
+    for row, weight in zip(rows, weights.T):
+        total += dr.sum(row * floats(weight))
+    dr.set_grad(along, 0)
+    with as_plugin_fault(str(function)):
+        dr.backward(total, flags=FLAGS)
+    each = weights * slope
+    own = float(np.ravel(dr.grad(along))[0])
+    return own, float(each.sum()), BSDF_ROUNDING * float(np.abs(each).sum())
