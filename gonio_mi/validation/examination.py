@@ -249,8 +249,8 @@ def _steps(evidence: Evidence, plan: Effort) -> Iterator[float]:
     explain_reciprocity(evidence)
     evidence.ask("parameters")
     yield from _check_maps(evidence, plan, sides, components)
-    gradients.check_samples(evidence, plan, _brightest(evidence))
     parameters.check_changes(evidence, plan, sides)
+    gradients.check_samples(evidence, plan, _brightest(evidence))
     if plan is not Effort.named("quick"):
         # it takes a second
         cost.check_time(evidence, Condition(40.0, 25.0, sides[0]))

@@ -132,8 +132,8 @@ def examine_phase_function(evidence: Evidence, plan: Effort, effort: str) -> Non
     evidence.ask("bsdf")
     evidence.ask("parameters")
     _check_maps(evidence, plan, MAPPED[effort])
-    gradients.check_samples(evidence, plan, evidence.samples[1])
     parameters.check_changes(evidence, plan, sides)
+    gradients.check_samples(evidence, plan, evidence.samples[1])
     cost.check_recorded(evidence, ASKED[1])
 
 

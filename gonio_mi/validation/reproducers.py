@@ -268,7 +268,11 @@ def _words(verdict: Verdict, one: Property, kind: Kind | MatrixKind) -> dict[str
         quantity = "1e-3 - dr.select(lit(), abs(dr.norm(bs.wo) - 1), 0)"
     stale, expected = STALE.get(guilty, PRODUCT)
     excluded = "(bs.sampled_type & int(bsdf.flags(i)) & 0x7E) != 0"
+    own = f'params["{about}"]'
+    to = guess.fields.get("to") if guess else None
+    changed = f"dr.select({own} == 0, 0.5, {own} / 2)"
     words = {
+        "OTHER": f"type({own})({to})" if to else changed,
         "GUILTY": guilty,
         "ABOUT": about,
         "NORMAL": about or "[0, 0, 1]",

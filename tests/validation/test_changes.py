@@ -266,6 +266,45 @@ def test_a_phase_function_follows_a_negative_parameter(follows):
     assert (found.status == "holds") == follows
 
 
+class Low(Mixed):
+    """Its lobe is of the lowest power that there ever was."""
+
+    def refresh(self):
+        self.k = self.lowest = mi.Float(min(self.k[0], getattr(self, "low", 1e9)))
+        self.low = self.lowest[0]
+        Mixed.refresh(self)
+
+
+@pytest.mark.parametrize("limit", [0.0, 0.05])
+def test_tiny_values(limit):
+    """The twin of `pdf` has a lower bound that single precision needs not."""
+
+    def pdf(self, ctx, si, wo, active):
+        a = self.a
+        self.a = dr.maximum(self.a, limit)
+        found = Mixed.pdf(self, ctx, si, wo, active)
+        self.a = a
+        return found
+
+    judged = verdict(pdf=pdf)
+    found = judged["parameters"]
+    assert (found.status == "fails") == (limit > 0), str(judged)
+    if limit:
+        text = "`sample` or `pdf` does not follow a change of a to 0.001"
+        assert found.mistake == text
+        assert told(reproducer(judged, "parameters")) > 1
+
+
+@pytest.mark.parametrize("base", [Mixed, Low])
+def test_answers_return_with_parameters(base):
+    judged = verdict(base)
+    found = judged["parameters"]
+    assert (found.status == "fails") == (base is Low), str(judged)
+    if base is Low:
+        assert "do not return when all parameters do" in found.mistake
+        assert told(reproducer(judged, "parameters")) > 1
+
+
 # ----------------------------------------------------------------------- gradients
 
 

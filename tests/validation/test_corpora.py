@@ -19,10 +19,10 @@ NOT_YET = {
     "broken": """
         eval_fades_with_time, pdf_of_distance, weight_of_a_floor,
         cosine_of_the_face, tangent_of_the_mesh, eval_by_triangle, uv_clamped,
-        uv_truncated, seam_of_the_texture, one_tile, clamped_below,
-        pdf_above_half, pdf_detached, four_million_lanes, few_hundred_lanes,
-        tangents_sheared, mirrored_instance, null_claimed,
-        phase_fades_with_time, phase_by_place, depolarises_with_time
+        uv_truncated, seam_of_the_texture, one_tile, pdf_detached,
+        four_million_lanes, few_hundred_lanes, tangents_sheared,
+        mirrored_instance, null_claimed, phase_fades_with_time, phase_by_place,
+        depolarises_with_time
     """,
     "unusual": """
         blend of blends, blend of weight 0, blend by checks, two sides of

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import drjit as dr
@@ -12,7 +13,7 @@ import numpy as np
 from ...array_types import Floats
 from ...transport.bsdf_trial import PluginFault
 from ..conditions import Condition, Effort, Sweep
-from ..evidence import BIAS, BREAKS, MAX_P, SAME, Evidence, Question
+from ..evidence import BIAS, BREAKS, MAX_P, SAME, Breach, Evidence, Question
 from ..kinds import Kind
 from ..mistakes import EVAL, PDF, SAMPLE, Function, Mistake
 from ..probe import (
@@ -24,9 +25,9 @@ from ..probe import (
     uniform,
     update,
 )
-from ..samples import Samples, beyond_rounding, unequal
+from ..samples import Samples, beyond_rounding, samples_of, unequal
 from . import answers
-from .consistency import check_sweep
+from .consistency import check_identities, check_sweep
 
 PARAMETERS = Question(
     "parameters",
@@ -43,7 +44,9 @@ class Parameters(Mistake):
 
     STALE = "{who} does not follow a change of {name}"
     STALE_ALONE = "{those} {does} not follow a change of {name} alone"
-    UPDATE = "{who} changes {those} where no parameter has changed"
+    WRONG_AT = "{who} does not follow a change of {name} to {to}"
+    UPDATE = "`parameters_changed` changes {those} where no parameter has changed"
+    REMEMBERED = "{those} {does} not return when all parameters do"
     BACKWARD = "backward gradients of {who} by {name} are not its changes"
     GRADIENT = "gradients of {who} by {name} are not its changes"
 
@@ -54,6 +57,13 @@ GOLDEN = (5**0.5 - 1) / 2
 # Largest and smallest relative steps that all functions must follow, or steps of a 0.
 FAR, NEAR = 0.5, 2.0**-4
 
+# Values to which numbers go further: down if they went up, else halfway to 1, and to
+# the smallest roughness or share that is usual.
+FURTHER: tuple[Callable[[Floats], Floats], ...] = (
+    lambda x: np.where(np.abs(x) > 1, x / 2, np.sign(x) * (1 + np.abs(x)) / 2),
+    lambda x: np.sign(x) * 1e-3,
+)
+
 # Parameters that are changed alone, and rays that tell whether all functions follow.
 MAX_ALONE, N_UPDATED = 8, 2**10
 
@@ -62,20 +72,42 @@ UNIT = 1e-4
 
 
 def check_changes(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> None:
-    """Check that all functions follow a change of all parameters, or of each alone."""
+    """Check that functions follow changes of parameters, and return with them."""
     known = [*evidence.breaches, *(t for t in evidence.tests if t.p < MAX_P)]
     if any(one.effect == BIAS for one in known):
         return  # a change adds nothing to what is wrong before
     values = _changeable(evidence.bsdf)
     if not values:
         return
-    if may_update_often(evidence, plan):
-        _check_updates(evidence, values, sides)
+    answers_of = _answers_of(evidence, sides)
+    try:
+        # numbers of another kind than at first may round otherwise
+        update(evidence.bsdf, values)
+        first = answers_of()
+        if may_update_often(evidence, plan):
+            _check_updates(evidence, values, answers_of)
+        _check_values(evidence, plan, sides, values)
+        own = _differing(first, answers_of())
+    except PluginFault as fault:
+        evidence.breach_of_fault(PARAMETERS, fault)
+        return
+    if own and not evidence.of("parameters"):
+        guess = Parameters.REMEMBERED(_guilty(own), **_subject(own))
+        text = "another answer after parameters were changed and changed back"
+        how: dict[str, Any] = {"kind": Kind.UPDATE, "about": own[0]}
+        evidence.breach(PARAMETERS, guess, found=text, size=3.0, **how)
+
+
+def _check_values(
+    evidence: Evidence, plan: Effort, sides: Sequence[str], values: dict[str, Any]
+) -> None:
+    """Check that all functions follow a change of all parameters, or of each alone."""
     others = {name: _other(value) for name, value in values.items()}
     after = _after(evidence, plan, sides, others)
     if after is not None and not _biases(after):
         text = "directions after a change of all parameters"
         evidence.test(PARAMETERS, _least_p(after), text)
+        _check_further(evidence, plan, values)
         return
     # together, they may be out of their range
     for name in values:
@@ -96,6 +128,41 @@ def check_changes(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> Non
         return
 
 
+def _check_further(evidence: Evidence, plan: Effort, values: dict[str, Any]) -> None:
+    """Check that functions agree where numbers are others again, and where tiny."""
+    kinds = (mi.Float, mi.Color3f, mi.Spectrum)
+    sweep, key = replace(evidence.sweeps[0].condition, n=N_UPDATED), (evidence.seed, 4)
+
+    def identities(found: Evidence) -> None:
+        found.sweeps.append(samples_of(evidence.bsdf, sweep, N_UPDATED, key))
+        check_identities(found, found.sweeps[0])
+
+    for further in FURTHER:
+        others = {
+            name: opaque(type(x), further(np.array(x, dtype=float)))
+            for name, x in values.items()
+            if isinstance(x, kinds) and np.array(x).any()
+        }
+        after = _asked_after(evidence, others, identities) if others else evidence
+        improper = after is None or bool(after.of("answers"))
+        # together, they may be out of their range
+        alone = may_update_often(evidence, plan) if improper else _breaches(after)
+        for name in few(others) if alone else ():
+            found = _asked_after(evidence, {name: others[name]}, identities)
+            wrong = [] if found is None or found.of("answers") else _breaches(found)
+            if not wrong:
+                continue
+            to = ", ".join(f"{x:.3g}" for x in np.ravel(np.array(others[name])))
+            before = samples_of(evidence.bsdf, sweep, N_UPDATED, key)
+            function = _stale(before, found)
+            if function is SAMPLE and found.of("sampled_pdf"):
+                function |= PDF  # `sample` is not stale for sure
+            guess = Parameters.WRONG_AT(function, name=name, to=to)
+            text = f"after a change of {name} to {to}: {wrong[0].statistic}"
+            evidence.breach(PARAMETERS, guess, found=text, size=2.0, about=name)
+            return
+
+
 def may_update_often(evidence: Evidence, plan: Effort) -> bool:
     """Whether there is time for many updates of parameters.
 
@@ -104,54 +171,72 @@ def may_update_often(evidence: Evidence, plan: Effort) -> bool:
     return type(evidence.bsdf) is not mi.BSDF or plan != Effort.named("quick")
 
 
-def _check_updates(
-    evidence: Evidence, values: dict[str, Any], sides: Sequence[str]
-) -> None:
-    """Check that an update of all parameters changes nothing that needs no change.
+Answers = Callable[[], dict[str, Floats]]
 
-    Neither at first, nor after one parameter got another value, in its range or not.
-    """
-    bsdf = evidence.bsdf
+
+def _answers_of(evidence: Evidence, sides: Sequence[str]) -> Answers:
+    """Function that asks all functions of the same rays; shape (n, ...) of each."""
     sweep = Sweep(side=sides[0], both=len(sides) > 1, n=N_UPDATED)
-    probe, random = Probe(bsdf, sweep), uniform(sweep.n, (evidence.seed, 5))
+    probe, random = Probe(evidence.bsdf, sweep), uniform(sweep.n, (evidence.seed, 5))
     wo = spectral(probe.sample(*random)[0].wo, sweep.n)
 
-    def asked() -> dict[str, Floats]:
-        """Of each function, shape (n, ...)."""
+    def answers_of() -> dict[str, Floats]:
         bs, weight = probe.sample(*random)
         pdf, drawn = numbers(bs.pdf, sweep.n), spectral(bs.wo, sweep.n)
         found = np.column_stack([pdf, drawn, spectral(weight, sweep.n)])
         found[~found[:, 4:].any(axis=1)] = 0  # no sample
         return {"eval": probe.values(wo), "pdf": probe.densities(wo), "sample": found}
 
-    how: dict[str, Any]
+    return answers_of
+
+
+def _differing(before: dict[str, Floats], after: dict[str, Floats]) -> list[str]:
+    """Functions whose answers differ."""
+    return [
+        function
+        for function, answer in before.items()
+        if beyond_rounding(unequal(answer, after[function], 0.0))
+    ]
+
+
+def _guilty(own: Sequence[str]) -> Function:
+    """An update, or the one function that changes by it."""
+    alone = Function.named(own[0]) if len(own) == 1 else Function(0)
+    return alone | Function.PARAMETERS_CHANGED
+
+
+def _subject(own: Sequence[str]) -> dict[str, str]:
+    """Functions as the subject of a sentence."""
+    those = " and ".join(f"`{one}`" for one in own)
+    return {"those": those, "does": "does" if len(own) == 1 else "do"}
+
+
+def _check_updates(
+    evidence: Evidence, values: dict[str, Any], answers_of: Answers
+) -> None:
+    """Check that an update of all parameters changes nothing that needs no change.
+
+    Neither at first, nor after one parameter got another value, in its range or not.
+    """
     names = few(values) if len(values) > 1 else ()
     for name in ("", *names):
         others = {name: _other(values[name])} if name else {}
         try:
-            with changed(bsdf, others):
-                before = asked()
-                update(bsdf, values)
-                after = asked()
-        except PluginFault as fault:
+            with changed(evidence.bsdf, others):
+                before = answers_of()
+                update(evidence.bsdf, values)
+                own = _differing(before, answers_of())
+        except PluginFault:
             if name:
                 continue  # a value that is refused
-            evidence.breach_of_fault(PARAMETERS, fault)
-            return
-        own = [
-            function
-            for function, answer in before.items()
-            if beyond_rounding(unequal(answer, after[function], 0.0))
-        ]
+            raise
         if own:
-            those = " and ".join(f"`{one}`" for one in own)
-            guess = Parameters.UPDATE(Function.PARAMETERS_CHANGED, those=those)
-            how = {"kind": Kind.UPDATE, "about": own[0]}
+            guess = Parameters.UPDATE(_guilty(own), **_subject(own))
+            how: dict[str, Any] = {"kind": Kind.UPDATE, "about": own[0]}
             if name:
-                fields = {"does": "does" if len(own) == 1 else "do", "name": name}
                 function, how = Function.named(own[0]), {"about": name}
-                guess = Parameters.STALE_ALONE(function, those=those, **fields)
-            text = f"another answer after an update of all parameters, at {sweep}"
+                guess = Parameters.STALE_ALONE(function, name=name, **_subject(own))
+            text = "another answer after an update of all parameters"
             evidence.breach(PARAMETERS, guess, found=text, size=3.0, **how)
             return
 
@@ -189,9 +274,14 @@ def _other(value: Any, step: float | None = None) -> Any:
         else:
             # a table not in proportion, of which a density knows nothing
             x = x * (1 + step * (spread if table else 1))
-    other = type(value)(np.float32(x))
-    dr.make_opaque(other)
-    return other
+    return opaque(type(value), x)
+
+
+def opaque(kind: type, x: Floats) -> Any:
+    """A value of a parameter, in memory."""
+    value = kind(np.float32(x))
+    dr.make_opaque(value)
+    return value
 
 
 def turns(x: Floats) -> Floats:
@@ -203,12 +293,21 @@ def _after(
     evidence: Evidence, plan: Effort, sides: Sequence[str], values: dict[str, Any]
 ) -> Evidence | None:
     """Evidence after a change of parameters; None if the plugin refuses a value."""
+    return _asked_after(evidence, values, lambda found: check_sweep(found, plan, sides))
+
+
+def _asked_after(
+    evidence: Evidence, values: dict[str, Any], check: Callable[[Evidence], None]
+) -> Evidence | None:
+    """Evidence of a check after a change; None if the plugin refuses a value."""
     found = Evidence(evidence.bsdf, evidence.seed, evidence.questions)
+    side = evidence.sweeps[0].condition.side
     try:
         with changed(evidence.bsdf, values):
-            check_sweep(found, plan, sides)
-            probe = Probe(evidence.bsdf, Condition(40.0, 25.0, sides[0]))
-            answers.check_lattice(found, probe)
+            check(found)
+            answers.check_lattice(
+                found, Probe(evidence.bsdf, Condition(40.0, 25.0, side))
+            )
     except PluginFault:
         return None
     return found
@@ -243,7 +342,12 @@ def _least_p(found: Evidence) -> float:
 
 def _biases(found: Evidence) -> bool:
     """Whether something certainly fails after a change."""
-    return _least_p(found) < MAX_P or any(b.effect == BIAS for b in found.breaches)
+    return _least_p(found) < MAX_P or bool(_breaches(found))
+
+
+def _breaches(found: Evidence) -> list[Breach]:
+    """Those that bias images."""
+    return [one for one in found.breaches if one.effect == BIAS]
 
 
 def _stale(before: Samples, found: Evidence) -> Function:

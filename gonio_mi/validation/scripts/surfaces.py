@@ -16,7 +16,7 @@ import numpy as np
 
 # %% words
 ABOUT = ANSWER = AXES = COMPONENT = CORNERS = COUNT = DENSITY = DRAWN = EITHER = None
-EXCLUDED = EXPECTED = FLUX = INDEX = NM = NORMAL = POSITION = QUANTITY = None
+EXCLUDED = EXPECTED = FLUX = INDEX = NM = NORMAL = OTHER = POSITION = QUANTITY = None
 ROUNDING = SOURCE = SPECTRUM = STALE = TURNED = UV = VARIANT = VARIANTS = WI = None
 values = []
 
@@ -85,7 +85,7 @@ wos, pdfs = (np.array(one) + np.zeros(n) for one in (bs.wo, bs.pdf))
 alike = discrete & np.all(np.abs(wos - wos[:, first, None]) < 1e-3, axis=0)
 # %% define changed
 params = mi.traverse(bsdf)
-params["ABOUT"] = dr.select(params["ABOUT"] == 0, 0.5, params["ABOUT"] / 2)
+params["ABOUT"] = OTHER
 params.update()
 bs, weight = bsdf.sample(ctx, si, mi.Float(u[0]), mi.Point2f(u[1:]), True)
 changed = smooth()
@@ -287,9 +287,10 @@ dr.backward(total(x), flags=dr.ADFlag.AllowNoGrad)
 b = max([b[0], np.sum(dr.grad(x))], key=lambda one: abs(one - a))
 # %% UPDATE: by_sample
 a, counts, params = answer(bs.wo), smooth(), mi.traverse(bsdf)
-for name in list(params.keys()):
-    params.set_dirty(name)
-params.update()
+for factor in (0.5, 2):  # there and back
+    for name in [name for name, x in params if dr.is_array_v(x) and dr.is_float_v(x)]:
+        params[name] = factor * params[name]
+    params.update()
 b = answer(bs.wo)
 # %% PARAMETERS: by_sample
 a, b, counts = STALE, EXPECTED, changed
