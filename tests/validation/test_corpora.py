@@ -25,9 +25,8 @@ NOT_YET = {
         depolarises_with_time
     """,
     "unusual": """
-        blend of blends, blend of weight 0, blend by checks, two sides of
-        blends, stochastic_eval, rippled_eval, own_random_numbers,
-        nan_at_grazing
+        two sides of         blends, stochastic_eval, rippled_eval,
+        own_random_numbers
     """,
     "museum": "nan_straight_back",
 }

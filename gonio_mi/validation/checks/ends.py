@@ -42,6 +42,9 @@ class Ends(Mistake):
 # Fraction of an image that single pixels are.
 PIXELS = 1e-3
 
+# A cosine that is 0 but for the rounding of a unit vector.
+GRAZING = 2.0**-24
+
 # Polar angles of incidence in degrees, and the ends of random numbers in [0, 1).
 ANGLES = (0, 1e-3, 89.99, 90, 90.01, 120, 179.999, 180)
 LAST = float(np.nextafter(np.float32(1), np.float32(0)))
@@ -101,11 +104,13 @@ def _check_condition(evidence: Evidence, probe: Probe, place: str) -> None:
     n = len(corners)
     weight, wo, pdf = spectral(sampled, n), spectral(bs.wo, n), numbers(bs.pdf, n)
     given = (weight != 0).any(axis=1)
-    _check_finite(evidence, SAMPLE, "weight", weight, corners, place)
-    _check_finite(evidence, SAMPLE, "pdf", pdf[given], corners[given], place)
+    along = np.full(n, abs(wi[2]) < GRAZING)
+    _check_finite(evidence, SAMPLE, "weight", weight, corners, place, along)
+    found = pdf[given], corners[given], place, along[given]
+    _check_finite(evidence, SAMPLE, "pdf", *found)
     length = np.linalg.norm(wo, axis=1)
     wrong = given & ~(np.abs(length - 1) < BSDF_ROUNDING)
-    if wrong.any():
+    if (wrong := wrong & ~(along & ~np.isfinite(length))).any():
         evidence.breach(
             ENDS,
             Ends.LENGTH(SAMPLE),
@@ -122,18 +127,15 @@ def _check_condition(evidence: Evidence, probe: Probe, place: str) -> None:
     joint, values = probe.eval_pdf(vectors(directions)), probe.values(directions)
     black = (values == 0).all(axis=1)
     densities = [probe.densities(directions), numbers(joint[1], n).astype(float)]
-    if wi[2] == 0 and np.isnan([x[black] for x in densities]).any():
-        # of a set of measure zero, and dark: Mitsuba's own do it
-        text = "`pdf` is NaN for light exactly along the surface, where `eval` is black"
-        evidence.remark("ends", text)
-        densities = [np.where(black & np.isnan(x), 0.0, x) for x in densities]
+    along = np.minimum(np.abs(directions[:, 2]), abs(wi[2])) < GRAZING
     for function, value in (
         (EVAL, values),
         (PDF, densities[0]),
         (Function.EVAL_PDF, spectral(joint[0], n)),
         (Function.EVAL_PDF, densities[1]),
     ):
-        _check_finite(evidence, function, "value", value, directions, place, black)
+        found = value, directions, place, along, black
+        _check_finite(evidence, function, "value", *found)
 
 
 def _check_finite(
@@ -143,13 +145,20 @@ def _check_finite(
     value: Numbers,
     inputs: Numbers,
     place: str,
+    along: Flags,
     black: Flags | None = None,
 ) -> None:
     """Check values at `inputs`, which are directions or random numbers.
 
-    A negative density does no harm in directions that are `black`.
+    A negative density does no harm in directions that are `black`. What is not finite
+    for light exactly `along` the surface is remarked: these are a set of measure zero.
     """
     wrong = improper(value)
+    lost = along & ~np.isfinite(value if value.ndim == 1 else value.sum(axis=1))
+    if (wrong & lost).any():
+        text = f"{function.quoted} is not finite for light exactly along the surface"
+        evidence.remark("ends", text)
+        wrong &= ~lost
     if wrong.any():
         text = example(value[wrong])
         name = "sample" if black is None else "wo"
