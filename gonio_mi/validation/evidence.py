@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, TypeVar
 
 import mitsuba as mi
@@ -17,7 +18,8 @@ from .conditions import Condition
 from .kinds import Kind, MatrixKind
 from .maps import FourMaps
 from .mistakes import Function, Guess, Mistake
-from .samples import Samples, beyond_rounding
+from .probe import Probe
+from .samples import Samples, beyond_rounding, means_differ
 
 # What a failure does to an image, the worst first.
 BIAS = "biases images"
@@ -43,6 +45,9 @@ Check = TypeVar("Check", bound=Callable[..., None])
 # Probability by chance below which a single test says by itself that something is
 # wrong: above the level of a test, so that whatever fails is looked at.
 MAX_P = 1e-4
+
+# Fraction of the answers that differ at each call where that is for chance.
+MIN_RANDOM = 0.01
 
 # A larger ratio has a denominator of 0.
 MAX_RATIO = 1e20
@@ -253,6 +258,20 @@ class Evidence:
         for question in self.questions:
             for check in question.checks.get(about, ()):
                 check(self, *given)
+
+    @cached_property
+    def noisy(self) -> bool:
+        """Whether ``eval`` draws numbers of its own: others at each call, of one mean.
+
+        Of many samples, or a few that are wrong by another cause would be chance.
+        """
+        first = self.samples[0]
+        again = Probe(self.bsdf, first.condition).values(first.wo)
+        usable = first.usable & np.isfinite(again).all(axis=1)
+        many = (again != first.eval).any(axis=1)[usable].sum() > MIN_RANDOM * first.n
+        return bool(many) and not means_differ(
+            first.eval[usable], again[usable], first.wo[usable]
+        )
 
     @property
     def whole(self) -> list[Samples]:

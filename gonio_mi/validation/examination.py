@@ -37,7 +37,7 @@ from .checks.consistency import check_again, check_identities
 from .conditions import Condition, Effort, sides_of
 from .cosines import explain_reciprocity
 from .diagnosis import likely_mistake
-from .evidence import BIAS, MAX_P, Evidence, Question
+from .evidence import BIAS, MAX_P, NOISE, Evidence, Question
 from .maps import four_maps, in_radiance_mode
 from .phase_functions import as_bsdf, examine_phase_function
 from .polarised import examine_polarised
@@ -285,6 +285,12 @@ def _check_maps(
     if evidence.bsdf.needs_differentials():
         conditions += [replace(conditions[0], differentials=True)]
     other_mode = any(_depends_on_mode(evidence, one) for one in evidence.whole)
+    if evidence.noisy:
+        # means of samples were compared
+        for name in ("sampling", "weights", "energy"):
+            evidence.undecided[name] = "`eval` draws random numbers: it has no integral"
+            evidence.downgraded[name] = NOISE
+        return
     if other_mode:
         conditions += [replace(one, mode="radiance") for one in plan.radiance(sides)]
     failed = 0

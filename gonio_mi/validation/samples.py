@@ -41,6 +41,9 @@ SPOILED = 6 * SLACK * ULPS
 # for, and displacements of each: both together cost less than to ask once for all.
 MAX_SEARCHED, N_DISPLACED = 0.01, 64
 
+# Standard errors beyond which two means differ.
+MAX_SCORE = 5
+
 # Values in single precision that are as good as 0: powers of small cosines underflow.
 UNDERFLOW = 1e-30
 
@@ -66,6 +69,26 @@ def ratio_of(above: Floats, below: Floats) -> Floats:
     ratio = np.where(same, 1.0, above / np.where(same, 1.0, np.maximum(below, 1e-30)))
     worst = np.abs(ratio - 1).argmax(axis=1)
     return np.take_along_axis(ratio, worst[:, None], axis=1)[:, 0]
+
+
+def means_differ(a: Floats, b: Floats, wo: Floats, wo_b: Floats | None = None) -> bool:
+    """Whether means of two answers to the same calls differ by more than chance.
+
+    Of all, or times a polynomial of wo: noise has the mean 0 in every direction.
+    Arrays are ``(n, channels)``, and wo of `b` is that of `a` unless it is given.
+    """
+    both = zip(_moments(wo), _moments(wo if wo_b is None else wo_b))
+    for off in (a * first[:, None] - b * second[:, None] for first, second in both):
+        std_err = off.std(axis=0) / np.sqrt(max(len(off), 1))
+        if (np.abs(off.mean(axis=0)) > MAX_SCORE * std_err).any():
+            return True
+    return False
+
+
+def _moments(wo: Floats) -> tuple[Floats, ...]:
+    """Values of polynomials, each of shape (n,)."""
+    x, y, z = wo.T
+    return np.ones(len(wo)), x, y, z, z * z, x * y, x * x - y * y
 
 
 def beyond_rounding(mask: Flags) -> bool:

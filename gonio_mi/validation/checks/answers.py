@@ -14,11 +14,11 @@ import numpy as np
 from ...array_types import Flags, Floats, Numbers
 from ...collector.directions import direction
 from ..conditions import POSITION, TURN
-from ..evidence import ALL, BIAS, INTERFACE, Evidence, Question
+from ..evidence import ALL, BIAS, INTERFACE, MIN_RANDOM, NOISE, Evidence, Question
 from ..kinds import Kind
 from ..mistakes import EVAL, PDF, SAMPLE, Function, Guess, Mistake
 from ..probe import Probe, random_numbers, spectral, vectors
-from ..samples import Samples, beyond_rounding, unequal
+from ..samples import Samples, beyond_rounding, means_differ, unequal
 
 ANSWERS = Question(
     "answers",
@@ -46,6 +46,7 @@ class Answers(Mistake):
     OF_ORDER = "{who} depends on the place of a ray in the array"
     OTHER_ALBEDO = "{who} is not the reflectance of `eval`, {due:.4g}"
     OF_CALLS = "{who} returns different values when called again"
+    BY_CHANCE = "{who} draws random numbers of its own, and is not reproducible"
 
 
 # Properties that hold unless two functions contradict each other.
@@ -53,6 +54,9 @@ AGREEMENTS = (
     *("directions", "sampling", "weights", "sampled_pdf", "sampled_weight"),
     *("eval_pdf", "eval_pdf_sample"),
 )
+
+# What chance in a function does to images, whose means are right.
+BY_CHANCE = {EVAL: NOISE, SAMPLE: INTERFACE}
 
 # Directions of the lattice on the sphere.
 N_LATTICE = 2**12
@@ -307,19 +311,28 @@ def check_memory(
 
     `after` are answers of ``eval`` and ``pdf`` that were asked for in between.
     """
-    for function, before, after_all in (
-        (EVAL, first.eval, after[0]),
-        (PDF, first.pdf, after[1]),
-        (SAMPLE, first.weight, again.weight),
-        (SAMPLE, first.sampled_pdf, again.sampled_pdf),
-        (EVAL, first.eval, again.eval),
-        (PDF, first.pdf, again.pdf),
+    for function, before, after_all, wo in (
+        (EVAL, first.eval, after[0], first.wo),
+        (PDF, first.pdf, after[1], first.wo),
+        (SAMPLE, first.weight, again.weight, again.wo),
+        (SAMPLE, first.sampled_pdf, again.sampled_pdf, again.wo),
+        (EVAL, first.eval, again.eval, again.wo),
+        (PDF, first.pdf, again.pdf, again.wo),
     ):
         usable: Any = np.isfinite(before) & np.isfinite(after_all)
         usable = usable if usable.ndim == 1 else usable.all(axis=1)
         wrong = unequal(before, after_all, 0.0) & usable
         if beyond_rounding(wrong):
-            guess = Answers.OF_CALLS(function)
             how = {"size": 1.0, "off": None, "kind": Kind.OTHER_WHEN_CALLED_AGAIN}
-            evidence.breach(ANSWERS, guess, first, wrong, **how)
+            mistake, chance = Answers.OF_CALLS, evidence.noisy
+            if function is SAMPLE:
+                both = (
+                    x[usable].reshape(usable.sum(), -1) for x in (before, after_all)
+                )
+                chance = wrong.mean() > MIN_RANDOM and not means_differ(
+                    *both, first.wo[usable], wo[usable]
+                )
+            if chance and function in BY_CHANCE:
+                mistake, how["effect"] = Answers.BY_CHANCE, BY_CHANCE[function]
+            evidence.breach(ANSWERS, mistake(function), first, wrong, **how)
             return

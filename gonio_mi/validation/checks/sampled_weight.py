@@ -6,11 +6,12 @@ import numpy as np
 
 from ...array_types import Flags, Floats
 from ..evidence import BIAS, INTERFACE, SAME, SAMPLED, Evidence, Question
-from ..mistakes import SAMPLE, Mistake
+from ..mistakes import EVAL, SAMPLE, Mistake
 from ..samples import (
     MAX_SEARCHED,
     Samples,
     beyond_rounding,
+    means_differ,
     closer_slacks,
     ratio_of,
     unequal,
@@ -31,10 +32,7 @@ class SampledWeight(Mistake):
     """What is wrong with sampled weights."""
 
     OTHER = "the weight of {who} is not `eval` over pdf"
-
-
-# Standard errors beyond which two means differ.
-MAX_SCORE = 5
+    OTHER_MEAN = "{who}: the mean weight is not that of `eval` over pdf"
 
 
 @SAMPLED_WEIGHT.asks("samples")
@@ -42,6 +40,11 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
     """Check that both are equal, sample by sample, for one of the two densities."""
     lit = samples.usable & (samples.eval != 0).any(axis=1)
     if not lit.any():
+        return
+    if evidence.noisy:
+        if _is_biased(samples, samples.usable):
+            guess = SampledWeight.OTHER_MEAN(EVAL | SAMPLE)
+            evidence.breach(SAMPLED_WEIGHT, guess, samples.condition)
         return
     wrong = [
         one & lit for one in _unequal(samples, samples.eval_slack, samples.pdf_slack)
@@ -78,19 +81,8 @@ def _unequal(samples: Samples, eval_slack: Floats, pdf_slack: Floats) -> list[Fl
 
 
 def _is_biased(samples: Samples, lit: Flags) -> bool:
-    """Whether mean weights differ from those of ``eval`` over ``pdf``.
-
-    Of all samples, or times a polynomial of wo: noise of the weights has the mean 0 in
-    every direction.
-    """
+    """Whether mean weights differ from those of ``eval`` over ``pdf``."""
     usable = lit & (samples.pdf > 0) & np.isfinite(samples.weight).all(axis=1)
-    off = samples.weight[usable] - samples.eval[usable] / samples.pdf[usable][:, None]
-    if len(off) < 2:
-        return True
-    x, y, z = samples.wo[usable].T
-    for moment in (np.ones(len(off)), x, y, z, z * z, x * y, x * x - y * y):
-        part = off * moment[:, None]
-        std_err = part.std(axis=0) / np.sqrt(len(part))
-        if (np.abs(part.mean(axis=0)) > MAX_SCORE * std_err).any():
-            return True
-    return False
+    few = samples.those(usable)
+    due = few.eval / few.pdf[:, None]
+    return len(due) < 2 or means_differ(few.weight, due, few.wo)
