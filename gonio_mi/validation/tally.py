@@ -143,8 +143,8 @@ class PatchTotals:
         Greatest density of a sample in each patch.
     mean, variance : ndarray, shape (channels,)
         Of the weight of a sample, with those in discrete directions.
-    delta_mean : ndarray, shape (channels,)
-        What discrete directions have of `mean`.
+    delta_mean, delta_variance : ndarray, shape (channels,)
+        What discrete directions have of `mean`, and the variance of that.
     is_ratio : bool
         Whether weights are ``eval`` over ``pdf``, except for so few samples as rounding
         may spoil.
@@ -160,6 +160,7 @@ class PatchTotals:
     mean: Floats
     variance: Floats
     delta_mean: Floats
+    delta_variance: Floats
     is_ratio: bool
 
 
@@ -190,8 +191,8 @@ def patch_totals(
     """
     m = 2 * subdivision.n_patches
     counts, sums, squares, cubes, largest, peaks = np.zeros((6, m + 1))
-    # sums over samples of the weight, of its square, and of discrete weights
-    moments: Floats = np.zeros((3, 1))
+    # sums over samples of the weight and its square, and of those of discrete ones
+    moments: Floats = np.zeros((4, 1))
     n_other = 0
     for begin in range(0, n, CHUNK):
         size = min(CHUNK, n - begin)
@@ -203,18 +204,19 @@ def patch_totals(
             total += np.bincount(index, mean**power, minlength=m + 1)
         np.maximum.at(largest, index, mean)
         np.maximum.at(peaks, index, batch.sampled_pdf)
-        weight = batch.weight
-        parts = (weight, weight**2, weight[batch.delta])
+        weight, discrete = batch.weight, batch.weight[batch.delta]
+        parts = (weight, weight**2, discrete, discrete**2)
         moments = moments + np.stack([part.sum(axis=0) for part in parts])
         other = unequal(weight.mean(axis=1), batch.ratio, 0.0)
         n_other += int(np.count_nonzero(other & (index < m)))
-    first, second, delta_first = moments / n
+    first, second, delta_first, delta_second = moments / n
     variance = np.maximum(second - first**2, 0)
+    delta_variance = np.maximum(delta_second - delta_first**2, 0)
     is_ratio = n_other <= max(2, SPOILED * n)
     return PatchTotals(
         n,
         *(counts[:-1], sums[:-1], squares[:-1], cubes[:-1], largest[:-1], peaks[:-1]),
-        *(first, variance, delta_first),
+        *(first, variance, delta_first, delta_variance),
         is_ratio,
     )
 

@@ -24,17 +24,23 @@ NOT_YET = {
         mirrored_instance, null_claimed, phase_fades_with_time, phase_by_place,
         depolarises_with_time
     """,
+<<<<<<< /tmp/tmp617jyd05/o
     "unusual": """
-        two sides of         blends, stochastic_eval, rippled_eval,
-        own_random_numbers
+        two sides of         blends
     """,
     "museum": "nan_straight_back",
+=======
+    "unusual": "",
+    "museum": """
+        lobe_weights_of_another_half_vector, normals_not_flipped, nan_straight_back
+    """,
+>>>>>>> /tmp/tmp617jyd05/t
 }
 
 
 def cases(test, table):
     """Parameters of a test, of which those that are not reached yet must fail."""
-    late = " ".join(NOT_YET[test].split()).split(", ")
+    late = " ".join(NOT_YET[test].split()).split(", ") if NOT_YET[test] else []
     assert {*late} <= {*table}
     return pytest.mark.parametrize(
         "name",

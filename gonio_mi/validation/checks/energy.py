@@ -24,8 +24,10 @@ class Energy(Mistake):
 
 def _guess(evidence: Evidence) -> Guess:
     """Whether ``eval`` or the weights of discrete lobes gain or lose light."""
-    discrete = [m.totals.delta_mean.max() for m in evidence.maps]
-    totals = [m.smooth_flux.max() + x for m, x in zip(evidence.maps, discrete)]
+    # what is asked of one component, some answer of all
+    whole = [m for m in evidence.maps if m.condition.component is None]
+    discrete = [m.totals.delta_mean.max() for m in whole]
+    totals = [m.smooth_flux.max() + x for m, x in zip(whole, discrete)]
     gains = max(discrete, default=0.0) > 1 + 1e-4
     own = [b.guess for b in evidence.of("components") if b.guess.functions is SAMPLE]
     if own and any(discrete) and not gains:
@@ -63,7 +65,7 @@ def check_maps(evidence: Evidence, maps: FourMaps) -> None:
     flux = maps.smooth_flux + drawn.delta_mean
     worst = int(flux.argmax())
     # only its sampled part varies
-    noise = std_err[worst] if drawn.delta_mean[worst] > 0 else 0.0
+    noise = np.sqrt(drawn.delta_variance[worst] / drawn.n)
     bound = max(maps.smooth_bound[worst] + maps.eval_rounding, SUM_ERROR)
     smooth = maps.smooth_flux[worst] > drawn.delta_mean[worst]
     whole = "`eval` integrates to" if smooth else "discrete lobes have the weight"

@@ -11,8 +11,8 @@ from ..samples import (
     MAX_SEARCHED,
     Samples,
     beyond_rounding,
-    means_differ,
     closer_slacks,
+    means_differ,
     ratio_of,
     unequal,
 )
