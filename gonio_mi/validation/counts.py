@@ -36,7 +36,7 @@ class Counts(Mistake):
     SIDE_LEFT_OUT = """{who} never goes to a side where `pdf` integrates to {mass:.3g}
         and `eval` is not zero, at {place}"""
     LOST = """{who} gives no direction for {part:.4g} of its numbers, where `pdf`
-        integrates to 1"""
+        integrates to {mass:.5g}"""
     REJECTED = """{who} rejects {part:.3g} of its directions, where `pdf` and `eval` are
         not 0"""
     MASS = "{sums}"
@@ -159,7 +159,7 @@ def _beside(counted: _Counted) -> Guess | None:
     if never < 1e-3:
         return None
     bsdf = counted.evidence.bsdf
-    samples = samples_of(bsdf, maps.condition, N_REDRAWN, (0, 72))
+    samples = samples_of(bsdf, maps.condition, N_REDRAWN, (0, 72), False)
     complete = samples.given.mean() > 1 - MAX_LOST
     where = {"mass": never, "place": maps.condition}
     if complete and due.sum() - drawn.sum() > never / 2:
@@ -172,7 +172,7 @@ def _lost(counted: _Counted) -> Guess | None:
     missing = 1 - float(counted.drawn.sum())
     complete = abs(_mass_of_pdf(counted.maps) - 1) < MAX_LOST < missing
     if complete and counted.maps.count_scores.total < -5:
-        return Counts.LOST(SAMPLE, part=missing)
+        return Counts.LOST(SAMPLE, part=missing, mass=_mass_of_pdf(counted.maps))
     return None
 
 
@@ -192,7 +192,7 @@ def _of_right_weights(counted: _Counted) -> Guess | None:
 def _rejected(counted: _Counted) -> Guess | None:
     """Samples that fail though all is well with their directions."""
     bsdf, condition = counted.evidence.bsdf, counted.maps.condition
-    samples = samples_of(bsdf, condition, N_REDRAWN, (0, 72))
+    samples = samples_of(bsdf, condition, N_REDRAWN, (0, 72), False)
     length = np.linalg.norm(samples.wo, axis=1)
     lost = ~samples.given & (np.abs(length - 1) < BSDF_ROUNDING) & (samples.pdf > 0)
     part = np.mean(lost & (samples.eval > 0).any(axis=1))
@@ -329,7 +329,7 @@ def _distorted(counted: _Counted) -> Guess | None:
     if counted.weights_fail and complete and lost:
         guilty = SAMPLE
     elif counted.weights_fail and (complete or lost) and (by_pdf < 1 + MAX_LOST).all():
-        samples = samples_of(bsdf, whole[0].condition, N_REDRAWN, (0, 71))
+        samples = samples_of(bsdf, whole[0].condition, N_REDRAWN, (0, 71), False)
         guilty = _by_lost_samples(samples, name, power)
     mistake = {
         PDF: Counts.FACTOR_OF_PDF,
@@ -357,7 +357,7 @@ def _distortion(bsdf: mi.BSDF, whole: Sequence[FourMaps]) -> tuple[str, int] | N
     """
     scores: dict[tuple[str, int], list[Floats]] = {}
     for i, maps in enumerate(whole):
-        samples = samples_of(bsdf, maps.condition, N_REDRAWN, (i, 71))
+        samples = samples_of(bsdf, maps.condition, N_REDRAWN, (i, 71), False)
         ok = samples.smooth
         index = patch_of(maps.subdivision, maps.condition, vectors(samples.wo[ok]))
         patch = numbers(index, int(ok.sum()))

@@ -46,6 +46,9 @@ Check = TypeVar("Check", bound=Callable[..., None])
 # wrong: above the level of a test, so that whatever fails is looked at.
 MAX_P = 1e-4
 
+# Fraction of the light of a lit surface below which a bias is minor.
+MINOR = 1e-4
+
 # Fraction of the answers that differ at each call where that is for chance.
 MIN_RANDOM = 0.01
 
@@ -150,6 +153,9 @@ class Finding:
         normal, or pairs of directions.
     guess : Guess or None
         Guilty functions and mistake; None of a test that does not tell them.
+    of_flux : bool
+        Whether `off` bounds a fraction of the light, as a fraction of samples does not:
+        few of them may be bright.
     """
 
     question: Question
@@ -160,6 +166,7 @@ class Finding:
     kind: Kind | MatrixKind | None = None
     about: str = ""
     guess: Guess | None = None
+    of_flux: bool = False
 
     def __post_init__(self) -> None:
         kinds: dict[str, Any] = dict(Kind.__members__)
@@ -185,6 +192,11 @@ class Finding:
             return None
         theta_i = 0.0 if self.condition is None else self.condition.theta_i
         return self.off * math.cos(math.radians(theta_i))
+
+    @property
+    def minor(self) -> bool:
+        """Whether it is known to be about next to no light."""
+        return self.of_flux and self.share is not None and self.share < MINOR
 
 
 @dataclass(frozen=True)

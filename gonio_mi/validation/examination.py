@@ -135,7 +135,12 @@ def validate(
         except PluginFault as fault:
             _stop(evidence, fault)
         properties = properties_of(evidence, alpha, allow)
-        failed = {p.name: str(p.effect) for p in properties if p.status == FAILS}
+        found = [p for p in properties if p.status == FAILS]
+        # what is next to nothing explains nothing else
+        found = (
+            [p for p in found if not p.minor] if any(p.counts for p in found) else found
+        )
+        failed = {p.name: str(p.effect) for p in found}
         shares = {p.name: p.share for p in properties}
         guess = likely_mistake(evidence, failed, shares) if failed else None
         if failed and not (polarised or evidence.of_volumes):

@@ -284,6 +284,26 @@ def unexplained_fraction(maps: FourMaps, name: str) -> tuple[float, float]:
     return float(max(total, elsewhere) / whole), surplus
 
 
+def unexplained_light(maps: FourMaps, name: str) -> float:
+    """Bound on the light where samples are too many or few, over all of ``eval``.
+
+    That of a patch, times how much of the samples or of their light is wrong there; and
+    all that is too rare to judge.
+    """
+    n, flux = maps.totals.n, np.mean([one.values for one in maps.due.channels], axis=0)
+    drawn, due = maps.totals.sums / n, maps.weights
+    if name == "sampling":
+        drawn, due = maps.totals.counts / n, maps.pdf
+    whole, scores = float(flux.sum()), maps.scores(name)
+    if not (whole > 0 and scores.first.size):
+        return 1.0
+    off, expected, light = (
+        np.add.reduceat(x, scores.first) for x in (drawn - due, due, flux)
+    )
+    off = np.abs(off) * _certain(scores.z) / np.maximum(expected, 1e-30)
+    return float(off @ light) / whole + 1 - maps.judged
+
+
 def _certain(z: Floats) -> Floats:
     """Part of a difference with the score `z` that chance does not explain."""
     return np.maximum(1 - CHANCE / np.maximum(np.abs(np.nan_to_num(z)), CHANCE), 0)

@@ -205,11 +205,16 @@ class Samples:
 
 
 def samples_of(
-    bsdf: mi.BSDF, condition: Condition, n: int, key: tuple[int, ...]
+    bsdf: mi.BSDF,
+    condition: Condition,
+    n: int,
+    key: tuple[int, ...],
+    compared: bool = True,
 ) -> Samples:
     """Draw `n` samples and ask all functions about each direction.
 
-    Parameters as of :func:`~gonio_mi.validation.tally.patch_totals`.
+    Parameters as of :func:`~gonio_mi.validation.tally.patch_totals`. Slacks are 0 if
+    nothing is to be `compared`: they take most of the time.
     """
     probe = Probe(bsdf, condition)
     sample1, sample2 = uniform(n, key)
@@ -224,8 +229,9 @@ def samples_of(
     dr.make_opaque(wi)
     reverse = probe.eval(wi, wi=wo)
     reverse_other_mode = probe.eval(wi, wi=wo, ctx=other)
+    displaced = (*_displaced(wi, wo, key), *_tilted(wi, wo)) if compared else ()
     eval_slack, pdf_slack, reverse_slack = _changes(
-        (*_displaced(wi, wo, key), *_tilted(wi, wo)),
+        displaced or ((wi, wo, 0.0),),
         (lambda wi, wo: probe.eval(wo, wi=wi), value),
         (lambda wi, wo: probe.pdf(wo, wi=wi), pdf),
         (lambda wi, wo: probe.eval(wi, wi=wo), reverse),

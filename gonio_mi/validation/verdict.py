@@ -31,7 +31,7 @@ DECIDED_BY = {
 # Attributes of a property as they stand in JSON.
 REPORTED = (
     *("name", "status", "statistic", "mistake", "function", "p_value", "effect"),
-    "share",
+    *("share", "minor"),
 )
 
 # Integrators that ask a phase function.
@@ -69,6 +69,8 @@ class Property:
     share : float or None
         How much of the light of a lit surface a failure is about: of its worst finding
         the wrong fraction, times the cosine of the angle of incidence, or None.
+    minor : bool
+        Whether all that fails is known to be below 1e-4 of that light.
     question : str
         What the property is.
     condition : Condition or None
@@ -98,6 +100,7 @@ class Property:
     places: tuple[str, ...] = ()
     near: str = ""
     share: float | None = None
+    minor: bool = False
     question: str = ""
     condition: Condition | None = field(default=None, repr=False)
     kind: Kind | MatrixKind | None = field(default=None, repr=False)
@@ -119,7 +122,18 @@ class Property:
     @property
     def consequence(self) -> str | None:
         """The effect and its reach."""
-        return f"{self.effect} ({self.reach})" if self.reach else self.effect
+        return f"{self.harm} ({self.reach})" if self.reach else self.harm
+
+    @property
+    def harm(self) -> str | None:
+        """The effect, and that it is minor."""
+        return f"{self.effect}, but next to nothing" if self.minor else self.effect
+
+    @property
+    def counts(self) -> bool:
+        """Whether it makes a verdict fail that is not strict."""
+        harms = self.effect in (BIAS, BREAKS) and not self.minor
+        return self.status == FAILS and harms
 
     def __str__(self) -> str:
         line = f"{self.status:<10}{self.name:<16} {self.question}"
@@ -171,7 +185,7 @@ class Verdict:
     def passed(self) -> bool:
         """Whether it is decided that nothing biases images or breaks integrators.
 
-        If it is strict, whether nothing fails at all.
+        By 1e-4 of the light at least. If it is strict, whether nothing fails at all.
         """
         return not (self._failed or self.undecided)
 
@@ -192,7 +206,7 @@ class Verdict:
     def _failed(self) -> bool:
         """Whether there is a failure that counts."""
         strict = self.settings["strict"]
-        return any(strict or one.effect in (BIAS, BREAKS) for one in self.failures)
+        return any(strict or one.counts for one in self.failures)
 
     @property
     def answered(self) -> bool:
@@ -202,16 +216,17 @@ class Verdict:
 
     @property
     def failures(self) -> tuple[Property, ...]:
-        """Properties that fail, the worst effect first.
+        """Properties that fail, the worst effect first, and what counts before all.
 
         Within an effect, the property that explains the others comes first, then those
         of an unknown share of the light, then the rest by decreasing share.
         """
 
-        def rank(one: Property) -> tuple[int, bool, float]:
+        def rank(one: Property) -> tuple[bool, int, bool, float]:
             share = np.inf if one.share is None else one.share
             explains = one.guess is not None and one.guess == self.guess
-            return EFFECTS.index(str(one.effect)), not explains, -share
+            effect = EFFECTS.index(str(one.effect))
+            return not one.counts, effect, not explains, -share
 
         failed = [one for one in self.properties if one.status == FAILS]
         return tuple(sorted(failed, key=rank))
@@ -231,7 +246,7 @@ class Verdict:
         word = "passes, with a remark" if self.passed else "FAILS"
         # the mistake first: a summary shows the beginning only
         worst = failed[0]
-        text = f"{self.name}: {word}: {worst.effect}. Most likely: {self.mistake}"
+        text = f"{self.name}: {word}: {worst.harm}. Most likely: {self.mistake}"
         return f"{text}. Affects {worst.reach}" if worst.reach else text
 
     @property
@@ -291,7 +306,8 @@ class Verdict:
             ``settings`` (effort, seed, alpha, allow, strict, variant, numbers of tests
             and samples), and ``properties``: a list with ``name``, ``question``,
             ``status``, ``statistic``, ``mistake``, ``function``, ``p_value``,
-            ``effect``, ``share`` and ``places`` of each. The command adds ``others``,
+            ``effect``, ``share``, ``minor`` (whether that is known to be below 1e-4)
+            and ``places`` of each. The command adds ``others``,
             the same of other variants, and ``skipped``, by variant why it was not
             judged there.
         """
@@ -355,7 +371,8 @@ def _property(
     if beyond or breaches:
         found = [*breaches, *beyond]
         effect = min((one.effect for one in found), key=EFFECTS.index)
-        shares = [one.share for one in found if one.effect == effect]
+        worst_ones = [one for one in found if one.effect == effect]
+        shares = [one.share for one in worst_ones]
         # what does most harm, and of that what says most
         breaches = [b for b in breaches if b.effect == effect] or breaches
         breaches = sorted(breaches, key=lambda b: -b.size)
@@ -374,6 +391,7 @@ def _property(
             effect,
             tuple(b.statistic for b in breaches[:MAX_PLACES]),
             share=max((x for x in shares if x is not None), default=None),
+            minor=all(one.minor for one in worst_ones),
             condition=shown.condition,
             kind=shown.kind,
             about=shown.about,

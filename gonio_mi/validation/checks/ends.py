@@ -37,6 +37,7 @@ class Ends(Mistake):
     RAISES = "{who} {what}, at an end of its domain"
     LENGTH = "{who} gives a direction of another length than 1 at an end"
     IMPROPER = "{who} gives {value} at an end of its domain"
+    ALONG = "{who} gives {value} for light exactly along the surface"
 
 
 # Fraction of an image that single pixels are.
@@ -128,6 +129,12 @@ def _check_condition(evidence: Evidence, probe: Probe, place: str) -> None:
     black = (values == 0).all(axis=1)
     densities = [probe.densities(directions), numbers(joint[1], n).astype(float)]
     along = np.minimum(np.abs(directions[:, 2]), abs(wi[2])) < GRAZING
+    if np.isnan([x[black & along] for x in densities]).any():
+        # and dark: Mitsuba's own do it
+        text = "`pdf` is NaN for light exactly along the surface, where `eval` is black"
+        evidence.remark("ends", text)
+        dark = black & along
+        densities = [np.where(dark & np.isnan(x), 0.0, x) for x in densities]
     for function, value in (
         (EVAL, values),
         (PDF, densities[0]),
@@ -151,26 +158,26 @@ def _check_finite(
     """Check values at `inputs`, which are directions or random numbers.
 
     A negative density does no harm in directions that are `black`. What is not finite
-    for light exactly `along` the surface is remarked: these are a set of measure zero.
+    for light exactly `along` the surface is in no image: a set of measure zero.
     """
     wrong = improper(value)
     lost = along & ~np.isfinite(value if value.ndim == 1 else value.sum(axis=1))
-    if (wrong & lost).any():
-        text = f"{function.quoted} is not finite for light exactly along the surface"
-        evidence.remark("ends", text)
-        wrong &= ~lost
-    if wrong.any():
-        text = example(value[wrong])
+    for part, off in ((wrong & ~lost, PIXELS), (wrong & lost, 0.0)):
+        if not part.any():
+            continue
+        text = example(value[part])
         name = "sample" if black is None else "wo"
-        harmless = black is not None and black[wrong].all()
-        harmless = harmless and np.isfinite(value[wrong]).all()
+        harmless = black is not None and black[part].all()
+        harmless = harmless and np.isfinite(value[part]).all()
+        mistake = Ends.IMPROPER if off else Ends.ALONG
         evidence.breach(
             ENDS,
-            Ends.IMPROPER(function, value=text),
-            found=f"{what} {text} {place}, {name} {_text(inputs[wrong][0])}",
-            size=float(wrong.sum()),
+            mistake(function, value=text),
+            found=f"{what} {text} {place}, {name} {_text(inputs[part][0])}",
+            size=float(part.sum()) if off else 0.0,
             effect=INTERFACE if harmless else "",
-            off=PIXELS,
+            off=off,
+            of_flux=not off,
             about=what,
         )
 

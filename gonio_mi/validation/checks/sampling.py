@@ -71,6 +71,7 @@ def check_maps(evidence: Evidence, maps: FourMaps) -> None:
             found=f"{used + unused:.5g}",
             size=used + unused - 1,
             off=min(used + unused - 1, 1.0),
+            of_flux=True,
             effect=INTERFACE if harmless else "",
             kind=Kind.MASS,
         )

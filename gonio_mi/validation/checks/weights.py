@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from ..conditions import Condition
-from ..evidence import BIAS, NOISE, SAME, SAMPLED, Evidence, Question
+from ..evidence import BIAS, MINOR, NOISE, SAME, SAMPLED, Evidence, Question
 from ..integrals import SUM_ERROR
 from ..kinds import Kind
-from ..maps import FourMaps, unexplained_fraction
+from ..maps import FourMaps, unexplained_fraction, unexplained_light
 from ..mistakes import EVAL, PDF, Mistake
 from ..probe import Probe
 from ..samples import Samples, beyond_rounding
@@ -43,8 +43,11 @@ def check_scores(evidence: Evidence, maps: FourMaps, question: Question) -> None
     """Test the scores of all patches: their sum, mean, spread and worst."""
     scores, texts = maps.scores(question.name), maps.scores(question.name).statistics
     off, _ = unexplained_fraction(maps, question.name)
+    if off * abs(maps.condition.wi[2]) < MINOR:
+        off = max(off, unexplained_light(maps, question.name))
     for view, p in scores.p_values.items():
-        evidence.test(question, p, texts[view], maps.condition, off=off)
+        how = {"off": off, "of_flux": True}
+        evidence.test(question, p, texts[view], maps.condition, **how)
 
 
 @WEIGHTS.asks("samples")
@@ -107,6 +110,7 @@ def check_maps(evidence: Evidence, maps: FourMaps) -> None:
             found=f"{lost / flux:.3g} of the light",
             size=lost,
             off=min(lost / flux, 1.0),
+            of_flux=True,
         )
     elif maps.judged < MIN_JUDGED:
         evidence.downgraded["weights"] = NOISE

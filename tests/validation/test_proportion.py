@@ -1,0 +1,97 @@
+# ruff: noqa: ARG002 (every method has Mitsuba's signature)
+"""What is next to nothing is told and passes; what is bright, or no chance, fails.
+
+Right ones are those of the corpora; these are their broken twins.
+"""
+
+from dataclasses import replace
+
+import drjit as dr
+import mitsuba as mi
+import pytest
+from plain_bsdf import name_of, over, plain
+from unusual_right import NanAtGrazing, Noisy, OwnRandomNumbers, StochasticEval
+
+from gonio_mi.validation import validate
+
+
+class HalfByChance(StochasticEval):
+    """Its mean is half of what `sample` scatters."""
+
+    def eval(self, ctx, si, wo, active=True):
+        return 0.5 * super().eval(ctx, si, wo, active)
+
+
+class JointHalf(StochasticEval):
+    """`eval_pdf` has half of its mean."""
+
+    def eval_pdf(self, ctx, si, wo, active=True):
+        value, pdf = super().eval_pdf(ctx, si, wo, active)
+        return 0.5 * value, pdf
+
+
+class OwnUniform(OwnRandomNumbers):
+    """Its own numbers have another density than `pdf`."""
+
+    def direction(self, ctx, si, sample1, sample2):
+        rng = self.own(dr.width(sample2, si.wi))
+        point = mi.Point2f(rng.next_float32(), rng.next_float32())
+        return mi.warp.square_to_uniform_hemisphere(point)
+
+
+class NanNearGrazing(NanAtGrazing):
+    """NaN within a hundredth of a degree of the surface."""
+
+    def eval(self, ctx, si, wo, active=True):
+        value = super().eval(ctx, si, wo, active)
+        near = (wo.z > 0) & (wo.z < 2e-4)
+        return dr.select(near, dr.nan, value)
+
+
+class Fireflies(Noisy):
+    """One sample in fifty thousand has ten thousand times its weight."""
+
+    def weight(self, ctx, si, bs):
+        rare = dr.abs(bs.wo.x) < 1e-5
+        return super().weight(ctx, si, bs) * dr.select(rare, 1e4, 1.0)
+
+
+def judged(mixin, **options):
+    """Verdict on a mixin."""
+    mi.register_bsdf(name_of(mixin), over(mixin, plain()))
+    return validate({"type": name_of(mixin)}, effort="quick", **options)
+
+
+@pytest.mark.parametrize(
+    ("mixin", "function", "property_"),
+    [
+        (HalfByChance, "eval", "sampled_weight"),
+        (JointHalf, "eval_pdf", "eval_pdf"),
+        (OwnUniform, "sample", "sampling"),
+        (NanNearGrazing, "eval", "ends"),
+        (Fireflies, "sample", "weights"),
+    ],
+)
+@pytest.mark.usefixtures("mono")
+def test_what_is_no_chance_and_not_little_fails(mixin, function, property_):
+    verdict = judged(mixin)
+    assert not verdict.passed, str(verdict)
+    assert verdict[property_].counts, str(verdict)
+    assert function in str(verdict.function).split(" or "), str(verdict)
+
+
+@pytest.mark.usefixtures("mono")
+def test_next_to_nothing_is_told_and_fails_if_strict():
+    """Some 4e-5 of the flux at 89 degrees, which its density has too much."""
+    verdict = validate({"type": "roughconductor", "alpha": 0.2}, effort="normal")
+    assert verdict.passed, str(verdict)
+    assert "passes, with a remark: biases images, but next to" in verdict.headline
+    assert "of the flux from a lit surface" in verdict.headline
+    told = {one["name"]: one for one in verdict.to_dict()["properties"]}
+    assert told["sampling"]["status"] == "fails"
+    assert told["sampling"]["minor"]
+    assert 1e-6 < told["sampling"]["share"] < 1e-4
+    strict = replace(verdict, settings=verdict.settings | {"strict": True})
+    assert not strict.passed
+    unknown = [replace(one, minor=False) for one in verdict.properties]
+    assert not replace(verdict, properties=tuple(unknown)).passed
