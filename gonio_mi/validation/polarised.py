@@ -112,6 +112,10 @@ class _Examination:
         matrices.check_finite(evidence, lobes.weights)
         values, slack, wo = self.values, self.slack, self.values.wo
         matrices.check_finite(evidence, values)
+        # where the three directions of a plane of incidence are one line
+        for straight in (wi, -wi):
+            found = self.importance.eval(wi, straight, uv)
+            matrices.check_finite(evidence, found, " where wo is wi or -wi,")
         smooth = values.lit & values.finite
         realisable.check_matrices(evidence, values, smooth)
         # what is wrong with `eval` is with the weights that are made of it

@@ -34,9 +34,15 @@ QUESTIONS = (
 # Those about a BSDF in unpolarised variants.
 OF_SURFACES = tuple(one for one in QUESTIONS if not one.alone)
 
-# In polarised ones, of Mueller matrices.
+# In polarised ones, of Mueller matrices: nothing passes that is not all decided.
 OF_MATRICES = tuple(
-    replace(one, text=one.matrices or one.text, identity=False, explain=None)
+    replace(
+        one,
+        text=one.matrices or one.text,
+        identity=False,
+        explain=None,
+        needed=True,
+    )
     for one in QUESTIONS
     if one.matrices is not None
 )

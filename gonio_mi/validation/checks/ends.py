@@ -174,7 +174,7 @@ def _check_finite(
             ENDS,
             mistake(function, value=text),
             found=f"{what} {text} {place}, {name} {_text(inputs[part][0])}",
-            size=float(part.sum()) if off else 0.0,
+            size=float(part.sum()) * (1.0 if off else PIXELS),
             effect=INTERFACE if harmless else "",
             off=off,
             of_flux=not off,

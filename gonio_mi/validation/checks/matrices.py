@@ -62,8 +62,11 @@ ROUNDING = 2e-3
 EXPLAINED = 0.05
 
 
-def check_finite(evidence: Evidence, matrices: Matrices) -> None:
-    """Check that all elements are finite and that the first is not negative."""
+def check_finite(evidence: Evidence, matrices: Matrices, at: str = "") -> None:
+    """Check that all elements are finite and that the first is not negative.
+
+    `at` is text on directions that are none of all, whose share is not known.
+    """
     bad = ~np.isfinite(matrices.raw).all(axis=(-1, -2, -3))
     negative = (np.nan_to_num(matrices.light) < 0).any(axis=-1)
     for wrong, mistake, what in (
@@ -71,9 +74,9 @@ def check_finite(evidence: Evidence, matrices: Matrices) -> None:
         (negative, Matrix.NEGATIVE, "a negative first element"),
     ):
         if (wrong := np.asarray(wrong)).any():
-            evidence.breach(
-                ANSWERS, mistake(matrices.function), matrices, wrong, found=what
-            )
+            how = {"off": None} if at else {}
+            guess = mistake(matrices.function)
+            evidence.breach(ANSWERS, guess, matrices, wrong, found=what + at, **how)
 
 
 def check_weights(
