@@ -328,9 +328,10 @@ EFFORTS = {
         swept=2**18,
         rings=20,
         sectors=32,
-        angles=(0, 15, 30, 45, 60, 75, 85, 89, 89.9),
-        map_angles=(0, 30, 60, 80, 89),
+        angles=(0, 30, 60, 80, 85, 89, 89.9),
+        map_angles=(0, 45, 75, 89),
         few_angles=(20, 70),
+        threads=2,
     ),
     "thorough": Effort(
         samples=2**23,

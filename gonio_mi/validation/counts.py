@@ -72,6 +72,9 @@ MAX_LOST = 1e-3
 # `sample` at most the rest are where `pdf` is not 0.
 MIN_DIRECTED = 0.9
 
+# Maps that must agree on a factor, those that are most off.
+MAX_MAPS = 3
+
 # Factors that may distort a density.
 DISTORTIONS = ("cos_o", "jacobian", "dot", "cos_h", "sin_o", "two", "pi", "four")
 
@@ -312,7 +315,8 @@ def _distorted(counted: _Counted) -> Guess | None:
     may tell, or either may be wrong.
     """
     whole, bsdf = counted.whole, counted.evidence.bsdf
-    found = _distortion(bsdf, whole)
+    # what a factor does not explain is as plain where the counts are most off
+    found = _distortion(bsdf, sorted(whole, key=_misfit)[-MAX_MAPS:])
     if found is None:
         return None
     name, power = found
