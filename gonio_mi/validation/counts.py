@@ -315,7 +315,6 @@ def _distorted(counted: _Counted) -> Guess | None:
     may tell, or either may be wrong.
     """
     whole, bsdf = counted.whole, counted.evidence.bsdf
-    # what a factor does not explain is as plain where the counts are most off
     found = _distortion(bsdf, sorted(whole, key=_misfit)[-MAX_MAPS:])
     if found is None:
         return None

@@ -95,8 +95,8 @@ def validate(
     allow : sequence of str
         Names of properties that the model knowingly lacks, such as ``"energy"``.
     strict : bool
-        Whether anything that fails counts, and not only what biases images or breaks
-        integrators.
+        Whether anything that fails counts, and not only what biases images, by 1e-4 of
+        the flux at least, or breaks integrators.
 
     progress : bool
         Whether to show a progress bar on standard error.

@@ -11,9 +11,9 @@ examples:
   gonio-mi validate hair:sigma_a=0 --variant llvm_ad_mono --reproducer bug.py
   gonio-mi validate pplastic --variant llvm_ad_mono_polarized
 
-Exit code 3: something that --allow does not name biases images or breaks integrators
-(with --strict: anything that fails). Exit code 4: undecided, for nothing was lit, or
-no integral converged.
+Exit code 3: something that --allow does not name biases images, by 1e-4 of the flux at
+least, or breaks integrators (with --strict: anything that fails). Exit code 4:
+undecided, for nothing was lit, or no integral converged.
 """
 
 import argparse
