@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import mitsuba as mi
 import numpy as np
@@ -45,6 +45,10 @@ class Condition:
         Whether rays have differentials of their texture coordinates.
     lit : tuple of float or None
         Unit vector to the source, if it is not that of the angles.
+    fields : tuple of str
+        Of `FIELDS`, those of the surface interaction that are as in `surroundings`.
+    spot : int
+        Which of these.
     """
 
     theta_i: float
@@ -58,6 +62,8 @@ class Condition:
     nm: tuple[float, ...] = WAVELENGTHS_NM
     differentials: bool = False
     lit: tuple[float, ...] | None = None
+    fields: tuple[str, ...] = ()
+    spot: int = 0
 
     @property
     def wi(self) -> Floats:
@@ -81,6 +87,11 @@ class Condition:
     def wavelengths(self) -> Floats:
         """Wavelengths of the channels in nm, shape (channels,)."""
         return np.array(self.nm)
+
+    @property
+    def spots(self) -> Integers:
+        """Which of the `surroundings` each sample has."""
+        return np.array([self.spot])
 
     @property
     def context(self) -> mi.BSDFContext:
@@ -118,6 +129,8 @@ class Condition:
             words.append("with differentials")
         if self.nm != WAVELENGTHS_NM:
             words.append(", ".join(f"{x:g}" for x in self.nm) + " nm")
+        if self.fields:
+            words.append(f"other si.{', si.'.join(self.fields)}")
         return ", ".join(words)
 
 
@@ -150,14 +163,21 @@ class Sweep(Condition):
         )
 
     @cached_property
+    def spots(self) -> Integers:
+        """Which of the `surroundings` each sample has, shape (n,)."""
+        return np.arange(self.n) % N_SPOTS
+
+    @property
     def places(self) -> Integers:
-        """Which of the `PLACES` each of them meets, shape (n,)."""
-        return np.arange(self.n) % len(PLACES)
+        """Which of the `PLACES` each of them meets, or their number, shape (n,)."""
+        odd, half = self.spots % 2, self.spots // 2
+        return np.where(odd, len(PLACES), half % len(PLACES))
 
     @property
     def uvs(self) -> Floats:
-        """Texture coordinates of each, shape (n, 2)."""
-        return np.array(PLACES)[self.places]
+        """Texture coordinates of each, in [0, 1) if they are no field; shape (n, 2)."""
+        uv = surroundings()["uv"][self.spots]
+        return uv if "uv" in self.fields else uv - np.floor(uv)
 
     @cached_property
     def wavelengths(self) -> Floats:
@@ -182,8 +202,9 @@ class Sweep(Condition):
         if gaps[widest] > MIN_GAP:
             first, last = phi[(widest + 1) % len(phi)], phi[widest]
             text += f", phi_i {first:.0f} to {last:.0f}"
-        if len(own := {*self.places[wrong].tolist()}) == 1:
-            text += ", uv ({:g}, {:g})".format(*PLACES[own.pop()])
+        low, high = (f(self.uvs[wrong], axis=0) for f in (np.min, np.max))
+        if (high - low).max() < MAX_PLACE:
+            text += ", uv ({:.3g}, {:.3g})".format(*(low + high) / 2)
         return text + self._more
 
     def middle(self, wrong: Flags) -> Condition:
@@ -192,11 +213,12 @@ class Sweep(Condition):
         k = own[np.argsort(self.angles[0, own])[len(own) // 2]] if own.size else 0
         theta, phi = (round(float(angle), 1) for angle in self.angles[:, k])
         side = "front" if self.wi[k, 2] > 0 else "back"
-        uv = PLACES[self.places[k]]
-        if not mi.is_spectral:
-            return Condition(theta, phi, side, uv, self.mode)
-        nm = tuple(self.wavelengths[k].round(1).tolist())
-        return Condition(theta, phi, side, uv, self.mode, nm=nm)
+        more = {"fields": self.fields, "spot": int(self.spots[k])}
+        if mi.is_spectral:
+            more["nm"] = tuple(self.wavelengths[k].round(1).tolist())
+        return Condition(
+            theta, phi, side, tuple(self.uvs[k].tolist()), self.mode, **more
+        )
 
     def __str__(self) -> str:
         return f"all angles of incidence{self._more}"
@@ -219,6 +241,9 @@ MAX_SWEPT = 89.5
 GOLDEN_ANGLE = 180 * (3 - 5**0.5)
 MIN_GAP = 45
 
+# Range of texture coordinates that are one place.
+MAX_PLACE = 0.15
+
 # Azimuths and places that no symmetry of a model distinguishes.
 PHI = (25.0, 140.0, 260.0, 305.0, 0.0)
 PLACES = ((0.35, 0.6), (0.15, 0.7), (0.85, 0.35))
@@ -226,6 +251,44 @@ PLACES = ((0.35, 0.6), (0.15, 0.7), (0.85, 0.35))
 # Axes of a turned surface, as columns, in world coordinates, and where it is.
 TURN = np.array([[2.0, -2.0, 1.0], [1.0, 2.0, 2.0], [-2.0, -1.0, 2.0]]) / 3
 POSITION = np.array([1.3, -0.7, 2.1])
+
+
+# Fields of a surface interaction that may be others for each sample, and how many.
+FIELDS = ("time", "t", "p", "n", "sh_frame", "dp_du", "prim_index", "uv")
+N_SPOTS = 1021
+
+
+@cache
+def surroundings() -> dict[str, Floats]:
+    """Fields of surface interactions, rows of `N_SPOTS`; vectors in the local frame.
+
+    Normals are up to 30 degrees off the local one, frames turned, tangents sheared and
+    half of them mirrored. Every other uv is one of `PLACES`; the others are in [-2, 3],
+    in steps that single precision knows, some on seams.
+    """
+    rng, n = np.random.default_rng(0), N_SPOTS
+
+    def turned(theta: Floats) -> Floats:
+        return direction(theta, rng.uniform(0, 2 * np.pi, n))
+
+    uv = rng.integers(-2 * 2**10, 3 * 2**10, (n, 2), endpoint=True) / 2**10
+    uv[rng.random((n, 2)) < 0.1] //= 1
+    uv[::2] = np.resize(PLACES, (len(uv[::2]), 2))
+    q, _ = np.linalg.qr(rng.normal(size=(n, 3, 3)))
+    q[:, :, 2] = np.cross(q[:, :, 0], q[:, :, 1])
+    u, v = (rng.uniform(0.5, 4, (n, 1)) * turned(np.full(n, np.pi / 2)) for _ in "uv")
+    return {
+        "time": rng.random(n),
+        "t": rng.uniform(0.1, 40, n),
+        "p": rng.uniform(-10, 10, (n, 3)),
+        "n": turned(np.radians(rng.uniform(0, 30, n))),
+        "s": q[:, :, 0],
+        "sh_frame": q[:, :, 2],
+        "dp_du": u,
+        "dp_dv": v,
+        "prim_index": rng.integers(0, 1000, n),
+        "uv": uv,
+    }
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ from .checks import (
     reciprocity,
     sampling,
 )
-from .checks.consistency import check_again, check_identities
+from .checks.consistency import check_again, check_identities, check_memory
 from .conditions import Condition, Effort, sides_of
 from .cosines import explain_reciprocity
 from .diagnosis import likely_mistake
@@ -259,6 +259,7 @@ def _steps(evidence: Evidence, plan: Effort) -> Iterator[float]:
     if plan is not Effort.named("quick"):
         # it takes a second
         cost.check_time(evidence, Condition(40.0, 25.0, sides[0]))
+    check_memory(evidence)
     cost.check_recorded(evidence, Condition(40.0, 25.0, sides[0]))
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from ..array_types import Floats
 from ..transport.media import N_RINGED, ask_phase_function
 from .checks import answers, components, cost, gradients, parameters, sampling
-from .checks.consistency import check_again, check_identities
+from .checks.consistency import check_again, check_identities, check_memory
 from .checks.energy import ENERGY, Energy
 from .checks.reciprocity import RECIPROCITY, ratio_text
 from .checks.sampling import SAMPLING
@@ -76,6 +76,7 @@ def as_bsdf(phase: mi.PhaseFunction) -> mi.BSDF:
             mei = dr.zeros(mi.MediumInteraction3f)
             mei.wi, mei.p, mei.wavelengths = si.to_world(si.wi), si.p, si.wavelengths
             mei.sh_frame = mi.Frame3f(mei.wi)
+            mei.t, mei.time, mei.n = si.t, si.time, si.n
             return context, mei
 
         def sample(
@@ -134,6 +135,7 @@ def examine_phase_function(evidence: Evidence, plan: Effort, effort: str) -> Non
     _check_maps(evidence, plan, MAPPED[effort])
     parameters.check_changes(evidence, plan, sides)
     gradients.check_samples(evidence, plan, evidence.samples[1])
+    check_memory(evidence)
     cost.check_recorded(evidence, ASKED[1])
 
 

@@ -22,7 +22,7 @@ from ..transport.bsdf_trial import (
     checked_sample,
     missing_method,
 )
-from .conditions import POSITION, TURN, Condition
+from .conditions import POSITION, TURN, Condition, surroundings
 
 # Mitsuba's record of a sample, and its weight.
 Sample: TypeAlias = "tuple[mi.BSDFSample3f, mi.Spectrum]"
@@ -54,11 +54,46 @@ class Probe:
         axes = TURN if condition.turned else np.eye(3)
         self.axes = [mi.Vector3f(axis.tolist()) for axis in axes.T]
         self.p = mi.Point3f((POSITION if condition.turned else 0 * POSITION).tolist())
+        self.spots = mi.UInt32(condition.spots)
+        self.fields = {name: None for name in condition.fields if name != "uv"}
+        if "sh_frame" in self.fields:
+            self.fields["s"] = None
+        if "dp_du" in self.fields:
+            self.fields["dp_dv"] = None
+        for name in self.fields:
+            columns = surroundings()[name].reshape(len(surroundings()[name]), -1).T
+            kind = mi.Float if len(columns) == 1 else mi.Vector3f
+            self.fields[name] = kind(*map(floats, columns))
         # one kernel for all
-        dr.make_opaque(self.axes, self.p)
+        dr.make_opaque(self.axes, self.p, self.fields)
 
-    def interaction(self, wi: mi.Vector3f | None = None) -> mi.SurfaceInteraction3f:
-        """Point of a flat surface of 2 x 2 scene units, lit from `wi`."""
+    def of_lanes(self, i: mi.UInt32) -> Probe:
+        """Ask the samples of these numbers, of as many as there are; return itself."""
+        self.wi, self.uv, self.wavelengths, self.spots = (
+            x if dr.width(x) <= 1 else dr.gather(type(x), x, i)
+            for x in (self.wi, self.uv, self.wavelengths, self.spots)
+        )
+        return self
+
+    def _surround(self, si: mi.SurfaceInteraction3f, spots: mi.UInt32) -> None:
+        """Give a surface interaction the fields of its spots."""
+        own = {k: dr.gather(type(x), x, spots) for k, x in self.fields.items()}
+        if "sh_frame" in own:
+            normal, s = own.pop("sh_frame"), own.pop("s")
+            si.sh_frame = mi.Frame3f(s, dr.cross(normal, s), normal)
+            si.n, si.dp_du, si.dp_dv = mi.Normal3f(normal), 2 * s, 2 * si.sh_frame.t
+        for name in own.keys() & {"n", "dp_du", "dp_dv"}:
+            own[name] = si.to_world(own[name])
+        for name, value in own.items():
+            setattr(si, name, type(getattr(si, name))(value))
+
+    def interaction(
+        self, wi: mi.Vector3f | None = None, spots: mi.UInt32 | None = None
+    ) -> mi.SurfaceInteraction3f:
+        """Point of a flat surface of 2 x 2 scene units, lit from `wi`.
+
+        Its other fields are those of some spots, by default of the first one.
+        """
         si = dr.zeros(mi.SurfaceInteraction3f)
         si.t = 1.0
         si.uv, si.p = self.uv, self.p
@@ -69,6 +104,10 @@ class Probe:
         if self.differentials:
             si.duv_dx, si.duv_dy = mi.Vector2f(0.3, 0.1), mi.Vector2f(-0.1, 0.2)
         si.wi = self.wi if wi is None else wi
+        if self.fields and spots is None:
+            spots = dr.gather(mi.UInt32, self.spots, mi.UInt32(0))
+        if self.fields:
+            self._surround(si, spots)
         return si
 
     def sample(
@@ -177,11 +216,14 @@ class Probe:
         uv, nm = dr.tile(self.uv, n // dr.width(self.uv)), self.wavelengths
         if mi.is_spectral:
             nm = dr.tile(nm, n // dr.width(nm))
-        dr.make_opaque(wi, uv, nm, arguments)
+        spots = None
+        if self.fields:
+            spots = dr.tile(self.spots, n // dr.width(self.spots))
+        dr.make_opaque(wi, uv, nm, spots, arguments)
         # a plugin may change its copies in place: narrow its mask, or flip a direction
         copies = [type(one)(one) for one in (*arguments, active)]
         with as_plugin_fault(function):
-            method, si = getattr(self.bsdf, function), self.interaction(wi)
+            method, si = getattr(self.bsdf, function), self.interaction(wi, spots)
             si.uv, si.wavelengths = uv, nm
             return method(ctx or self.ctx, si, *copies)
 

@@ -17,7 +17,7 @@ from ..conditions import POSITION, TURN
 from ..evidence import ALL, BIAS, INTERFACE, MIN_RANDOM, NOISE, Evidence, Question
 from ..kinds import Kind
 from ..mistakes import EVAL, PDF, SAMPLE, Function, Guess, Mistake
-from ..probe import Probe, random_numbers, spectral, vectors
+from ..probe import Probe, numbers, spectral, vectors
 from ..samples import Samples, beyond_rounding, means_differ, unequal
 
 ANSWERS = Question(
@@ -42,8 +42,9 @@ class Answers(Mistake):
     MIXES_IN_WEIGHT = "{who} mixes local and world coordinates in its weight"
     IN_THE_WORLD = """{who} returns directions in world coordinates instead of local
         ones"""
-    OF_PLACE = "{both} depend differently on the place in the world, si.p"
+    OF_FIELD = "{who}: {how} on si.{field}"
     OF_ORDER = "{who} depends on the place of a ray in the array"
+    OF_NUMBER = "{who} depends on the number of rays that are asked together"
     OTHER_ALBEDO = "{who} is not the reflectance of `eval`, {due:.4g}"
     OF_CALLS = "{who} returns different values when called again"
     BY_CHANCE = "{who} draws random numbers of its own, and is not reproducible"
@@ -64,8 +65,13 @@ N_LATTICE = 2**12
 # What a function does whose answers change for no reason that is known.
 MIXED = (Answers.MIXES_COORDINATES, Answers.MIXES_IN_WEIGHT)
 
-# Properties that are lacking if two functions depend differently on the place.
-OF_PLACE = {"sampled_weight": EVAL | SAMPLE, "sampled_pdf": SAMPLE | PDF}
+# Properties that are lacking if two functions depend differently on a field.
+OF_TWO = {
+    "sampled_weight": EVAL | SAMPLE,
+    "sampled_pdf": SAMPLE | PDF,
+    "sampling": SAMPLE | PDF,
+    "weights": EVAL | SAMPLE,
+}
 
 # What a lobe can be: names as in mi.BSDFFlags.
 LOBES = (
@@ -151,7 +157,8 @@ def check_frames(evidence: Evidence) -> None:
             (b.name, b.guess.functions)
             for b in evidence.breaches
             if b.name in AGREEMENTS and b.effect == BIAS
-            if b.condition is not None and b.condition.turned == is_turned
+            if b.condition is not None
+            if (b.condition.turned or bool(b.condition.fields)) == is_turned
         }
         for is_turned in (False, True)
     )
@@ -164,7 +171,6 @@ def check_frames(evidence: Evidence) -> None:
         guess, wrong = found
         if _turned_answer(evidence.bsdf, samples, moved=True) is None:
             _remark_on_place(evidence, guess.functions)
-            _add_place(evidence, samples, {name for name, _ in turned - flat})
         elif turned - flat or guess.mistake not in MIXED:
             others = {"size": 2.0, "off": None, "kind": Kind.OTHER_IN_THE_WORLD}
             text = "where the surface is turned,"
@@ -182,22 +188,6 @@ def _remark_on_place(evidence: Evidence, function: Function) -> None:
     # all of Mitsuba's own phase functions draw azimuths from such an axis
     if not evidence.of_volumes or function is not SAMPLE:
         evidence.remark("answers", text)
-
-
-def _add_place(evidence: Evidence, samples: Samples, names: Collection[str]) -> None:
-    """Add what depends on the place alone: properties `names` are lacking there."""
-    for name in filter(names.__contains__, OF_PLACE):
-        both = OF_PLACE[name]
-        words = " and ".join(f"`{one}`" for one in both.names)
-        evidence.breach(
-            ANSWERS,
-            Answers.OF_PLACE(both, both=words),
-            samples.condition,
-            found="where the surface is moved,",
-            size=2.0,
-            kind=Kind[name.upper()],
-        )
-        return
 
 
 def _turned_answer(
@@ -244,29 +234,108 @@ def _displaced(a: Floats, b: Floats) -> Flags:
     return np.abs(a - b).max(axis=1) > MAX_DISPLACEMENT
 
 
-def check_order(evidence: Evidence, samples: Samples) -> None:
-    """Check that answers do not depend on the place of a ray in the array."""
-    # of a sweep, so that incident directions and places are reversed, too
-    probe = Probe(evidence.bsdf, samples.condition)
-    i = samples.n - 1 - dr.arange(mi.UInt32, samples.n)
-    probe.uv = dr.gather(mi.Point2f, probe.uv, i)
-    if mi.is_spectral:
-        kind = type(probe.wavelengths)
-        probe.wavelengths = dr.gather(kind, probe.wavelengths, i)
-    wo, wi = samples.wo[::-1], vectors(samples.wi[::-1])
-    _, weight = probe.sample(*random_numbers(samples.u[::-1]), wi=wi)
-    n = samples.n
-    for function, answer, due, slack in (
-        (EVAL, probe.values(wo, samples.wi[::-1]), samples.eval, samples.eval_slack),
-        (PDF, probe.densities(wo, samples.wi[::-1]), samples.pdf, samples.pdf_slack),
-        (SAMPLE, spectral(weight, n), samples.weight, 0.0),
-    ):
-        wrong = unequal(answer[::-1], due, slack) & samples.usable
-        if beyond_rounding(wrong):
-            guess = Answers.OF_ORDER(function)
-            how = {"size": 2.0, "kind": Kind.OTHER_IN_ANOTHER_PLACE}
-            evidence.breach(ANSWERS, guess, samples, wrong, **how)
-            return
+def asked_again(
+    samples: Samples, probe: Probe, i: mi.UInt32 | None = None
+) -> dict[Function, Flags]:
+    """Functions whose answers about samples are others, with masks of these samples.
+
+    In the order of the numbers `i`, of as many as there are; the last tell.
+    """
+    if i is None:
+        i = dr.arange(mi.UInt32, samples.n)
+    n, kept = dr.width(i), min(dr.width(i), samples.n)
+    last = dr.arange(mi.UInt32, kept) + (n - kept)
+    wi, wo, u = (
+        dr.gather(mi.Vector3f, vectors(x), i)
+        for x in (samples.wi, samples.wo, samples.u)
+    )
+    dr.make_opaque(wi, wo, u)
+
+    def end(answer: Any) -> Floats:
+        """Of the last samples, shape (kept, ...)."""
+        whole = answer + dr.zeros(type(answer), n)
+        found = dr.gather(type(answer), whole, last)
+        if isinstance(answer, mi.Float):
+            return numbers(found, kept)[:, None].astype(float)
+        return spectral(found, kept)
+
+    probe.of_lanes(i)
+    bs, weight = probe.sample(u.x, mi.Point2f(u.y, u.z), wi=wi)
+    own = numbers(dr.gather(mi.UInt32, i, last), kept)
+    given, usable = samples.given[own], samples.usable[own]
+    slack = samples.eval_slack[own], samples.pdf_slack[own, None]
+    differs = {
+        EVAL: unequal(end(probe.eval(wo, wi=wi)), samples.eval[own], slack[0]),
+        PDF: unequal(end(probe.pdf(wo, wi=wi)), samples.pdf[own, None], slack[1]),
+        SAMPLE: unequal(end(weight), samples.weight[own], 0.0) & given
+        | unequal(end(bs.pdf), samples.sampled_pdf[own, None], 0.0) & usable
+        | _displaced(end(bs.wo), samples.wo[own]) & usable,
+    }
+    found = {}
+    for function, wrong in differs.items():
+        mask = np.zeros(samples.n, dtype=bool)
+        mask[own] = wrong & (given if function is SAMPLE else usable)
+        if beyond_rounding(mask[own]):
+            found[function] = mask
+    return found
+
+
+def check_same(
+    evidence: Evidence,
+    samples: Samples,
+    mistake: Answers,
+    kind: Kind,
+    i: mi.UInt32 | None = None,
+) -> None:
+    """Check that answers about samples are the same when these are asked again.
+
+    In another order, or another number, by the numbers `i`.
+    """
+    found = asked_again(samples, Probe(evidence.bsdf, samples.condition), i)
+    for function, wrong in found.items():
+        how = {"size": 1.0 if i is None else 2.0, "off": None, "kind": kind}
+        if _is_by_chance(evidence, samples, function, wrong):
+            mistake, how["effect"] = Answers.BY_CHANCE, BY_CHANCE[function]
+        evidence.breach(ANSWERS, mistake(function), samples, wrong, **how)
+        return
+
+
+def _is_by_chance(
+    evidence: Evidence, samples: Samples, function: Function, wrong: Flags
+) -> bool:
+    """Whether a function draws numbers of its own, with the same means each time.
+
+    Many answers must be others: a few have another cause.
+    """
+    if function is not SAMPLE or wrong.mean() <= MIN_RANDOM:
+        return function is EVAL and evidence.noisy
+    bs, weight = Probe(evidence.bsdf, samples.condition).sample(*samples.random)
+    wo, weight = spectral(bs.wo, samples.n), spectral(weight, samples.n)
+    usable = samples.usable & np.isfinite(weight).all(axis=1)
+    both = samples.weight[usable], weight[usable]
+    return not means_differ(*both, samples.wo[usable], wo[usable])
+
+
+def add_field(evidence: Evidence, field: str, names: Collection[str]) -> None:
+    """Add that functions depend on a field differently: properties `names` lack there.
+
+    `evidence` is that of a sweep in which this field alone varies.
+    """
+    samples = evidence.sweeps[0]
+    usual = replace(samples.condition, fields=())
+    changed = asked_again(samples, Probe(evidence.bsdf, usual))
+    for name, both in OF_TWO.items():
+        seeing = [one for one in changed if one in both]
+        if name not in names or not seeing:
+            continue
+        how = "both depend differently"
+        if len(seeing) == 1:
+            blind = both & ~seeing[0]
+            how = f"{seeing[0].quoted} depends, and {blind.quoted} does not,"
+        guess = Answers.OF_FIELD(both, how=how, field=field)
+        more = {"size": 1.5, "off": None, "kind": Kind[name.upper()]}
+        evidence.breach(ANSWERS, guess, samples, changed[seeing[0]], **more)
+        return
 
 
 def check_albedo(evidence: Evidence) -> None:
@@ -302,37 +371,3 @@ def example(improper_rows: Numbers) -> str:
     """The first number of the first row that is negative or not finite."""
     row = np.ravel(improper_rows[0])
     return f"{row[improper(row)][0]:g}"
-
-
-def check_memory(
-    evidence: Evidence, first: Samples, after: tuple[Floats, Floats], again: Samples
-) -> None:
-    """Check that answers about the first samples do not depend on earlier calls.
-
-    `after` are answers of ``eval`` and ``pdf`` that were asked for in between.
-    """
-    for function, before, after_all, wo in (
-        (EVAL, first.eval, after[0], first.wo),
-        (PDF, first.pdf, after[1], first.wo),
-        (SAMPLE, first.weight, again.weight, again.wo),
-        (SAMPLE, first.sampled_pdf, again.sampled_pdf, again.wo),
-        (EVAL, first.eval, again.eval, again.wo),
-        (PDF, first.pdf, again.pdf, again.wo),
-    ):
-        usable: Any = np.isfinite(before) & np.isfinite(after_all)
-        usable = usable if usable.ndim == 1 else usable.all(axis=1)
-        wrong = unequal(before, after_all, 0.0) & usable
-        if beyond_rounding(wrong):
-            how = {"size": 1.0, "off": None, "kind": Kind.OTHER_WHEN_CALLED_AGAIN}
-            mistake, chance = Answers.OF_CALLS, evidence.noisy
-            if function is SAMPLE:
-                both = (
-                    x[usable].reshape(usable.sum(), -1) for x in (before, after_all)
-                )
-                chance = wrong.mean() > MIN_RANDOM and not means_differ(
-                    *both, first.wo[usable], wo[usable]
-                )
-            if chance and function in BY_CHANCE:
-                mistake, how["effect"] = Answers.BY_CHANCE, BY_CHANCE[function]
-            evidence.breach(ANSWERS, mistake(function), first, wrong, **how)
-            return

@@ -19,7 +19,7 @@ from ...transport.kernels import first_cause
 from ..conditions import Condition
 from ..evidence import COST, INTERFACE, SAME, Evidence, Question
 from ..probe import Probe, uniform
-from ..samples import Samples, samples_of
+from ..samples import samples_of
 
 CALLS = Question("cost", __doc__, INTERFACE, volumes=SAME)
 
@@ -37,18 +37,18 @@ MAX_RATIO = 10.0
 
 def check_compiled(
     evidence: Evidence, condition: Condition, n: int, key: tuple[int, ...]
-) -> Samples:
-    """Check that repeated calls compile no kernel; return their answers."""
+) -> None:
+    """Check that repeated calls compile no kernel."""
     for _ in range(2):
         # the second time, objects that are made once exist
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             dr.kernel_history_clear()
-            again = samples_of(evidence.bsdf, condition, n, key)
+            samples_of(evidence.bsdf, condition, n, key)
             kernels = [k for k in dr.kernel_history() if "cache_hit" in k]
             dr.kernel_history_clear()
         n_new = sum(not k["cache_hit"] or bool(k["cache_disk"]) for k in kernels)
         if not n_new:
-            return again
+            return
     evidence.downgraded["cost"] = COST
     evidence.remark(
         "cost",
@@ -56,7 +56,6 @@ def check_compiled(
         "same is asked; a number of Python that changes is a literal of the kernel, "
         "which dr.opaque makes a variable",
     )
-    return again
 
 
 def check_recorded(evidence: Evidence, condition: Condition) -> None:

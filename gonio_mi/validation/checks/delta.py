@@ -37,6 +37,9 @@ DIRECTION_ROUNDING = 2 * 2.0**-11.5
 # Known error of a probability: rounding of 1 minus a number, and the steps of sample1.
 PROBABILITY_ROUNDING = 2.0**-22
 
+# Samples that would meet a lobe of which none is drawn by chance, with exp(-MISSED).
+MISSED = 32
+
 # Directions of one component and type, as of the orders of a grating.
 MAX_DIRECTIONS = 32
 
@@ -164,12 +167,12 @@ def check_null(evidence: Evidence, samples: Samples) -> None:
     if samples.condition.component is not None:
         return
     null = samples.given & ((samples.type & int(mi.BSDFFlags.Null)) != 0)
-    if not null.any():
-        return
-    sampled = samples.flux[null].mean(axis=0)
     function = Function.EVAL_NULL_TRANSMISSION
     reported = Probe(evidence.bsdf, samples.condition).of_surface(str(function))
-    if np.abs(sampled - reported).max() > BSDF_ROUNDING:
+    sampled, slack = np.zeros_like(reported), MISSED / samples.n
+    if null.any():
+        sampled, slack = samples.flux[null].mean(axis=0), BSDF_ROUNDING
+    if np.abs(sampled - reported).max() > slack:
         evidence.breach(
             DELTA,
             Delta.OTHER_THAN_SAMPLED(function),
