@@ -276,7 +276,9 @@ def surroundings() -> dict[str, Floats]:
     uv[::2] = np.resize(PLACES, (len(uv[::2]), 2))
     q, _ = np.linalg.qr(rng.normal(size=(n, 3, 3)))
     q[:, :, 2] = np.cross(q[:, :, 0], q[:, :, 1])
-    u, v = (rng.uniform(0.5, 4, (n, 1)) * turned(np.full(n, np.pi / 2)) for _ in "uv")
+    u = rng.uniform(0, 2 * np.pi, n)
+    v = u + rng.choice([-1, 1], n) * np.radians(rng.uniform(50, 130, n))
+    u, v = (rng.uniform(2, 6, (n, 1)) * direction(np.pi / 2, x) for x in (u, v))
     return {
         "time": rng.random(n),
         "t": rng.uniform(0.1, 40, n),

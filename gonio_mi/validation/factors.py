@@ -327,7 +327,8 @@ def _where(ratios: Sequence[Ratio], everything: Sequence[Ratio]) -> str:
     wrong_uvs = {uv for one in ratios for uv in _uvs(one, one.wrong)}
     right_uvs = {uv for one in right for uv in _uvs(one, slice(None))}
     u, v = first.uv
-    uv = f", uv ({u:g}, {v:g})" if not wrong_uvs & right_uvs else ""
+    told = first.uvs.ndim > 1 or wrong_uvs & right_uvs
+    uv = "" if told else f", uv ({u:g}, {v:g})"
     return f" at {first.place(worst.wrong)}{uv}{more}"
 
 

@@ -28,6 +28,7 @@ from ..transport.variants import unpolarised
 from .conditions import POSITION, TURN, WAVELENGTHS_NM, Condition, Sweep
 from .kinds import Kind, MatrixKind
 from .maps import FourMaps
+from .probe import Probe
 from .verdict import Property, Verdict
 
 # Where is looked if a finding names no direction.
@@ -54,6 +55,14 @@ ROUGHLY = 1e-4
 
 # Corners of the whole sphere, in the unit square.
 EVERYWHERE = ([0.0, 0.0], [1.0, 1.0])
+
+# Where no map is.
+NO_BOX: tuple[None, Any] = (None, EVERYWHERE)
+
+# What is set beside a field of a surface interaction, and all that a medium has.
+TANGENTS = ("n", "dp_du", "dp_dv")
+BESIDE = {"sh_frame": ("sh_frame", *TANGENTS), "dp_du": TANGENTS, "uv": ()}
+OF_A_MEDIUM = ("time", "t", "p", "n")
 
 # Files of parts of scripts.
 SCRIPTS = Path(__file__).with_name("scripts")
@@ -154,7 +163,7 @@ def script(verdict: Verdict, one: Property) -> str:
     condition, part = _condition(one), PARTS.get(kind, kind.name)
     words = _words(verdict, one, kind)
     if part == "SAMPLING":
-        maps, corners = _box(verdict, one.name)
+        maps, corners = _box(verdict, one.name) if not condition.fields else NO_BOX
         condition = maps.condition if maps else condition
         part = "moments_apart" if corners == EVERYWHERE else part
         rounded = [[[float(f"{x:.9g}")] for x in corner] for corner in corners]
@@ -323,7 +332,8 @@ def _condition(one: Property) -> Condition:
 
 def _setting(verdict: Verdict, condition: Condition, given: Mapping[str, str]) -> str:
     """Lines of a script from the variant to the surface interaction."""
-    textured = _is_textured(verdict) and "phase" not in given["interaction"]
+    textured = _is_textured(verdict) or "uv" in condition.fields
+    textured &= "phase" not in given["interaction"]
     used = {
         "component": condition.component is not None,
         "texture": textured,
@@ -332,7 +342,21 @@ def _setting(verdict: Verdict, condition: Condition, given: Mapping[str, str]) -
         "wavelengths": mi.is_spectral,
     }
     names = ["variant", "interaction", *(k for k, on in used.items() if on)]
-    return "".join(map(given.__getitem__, names))
+    return "".join(map(given.__getitem__, names)) + _fields(condition, given)
+
+
+def _fields(condition: Condition, given: Mapping[str, str]) -> str:
+    """Lines of a script that set fields of the surface interaction."""
+    si, lines = Probe(None, condition).interaction(), ""
+    names = [x for name in condition.fields for x in BESIDE.get(name, (name,))]
+    if "phase" in given["interaction"]:
+        names = [name for name in names if name in OF_A_MEDIUM]
+    for name in dict.fromkeys(names):
+        value = getattr(si, name)
+        parts = (value.s, value.t, value.n) if name == "sh_frame" else (value,)
+        text = ", ".join(str(np.array(x).ravel().round(6).tolist()) for x in parts)
+        lines += _filled(given["field"], {"FIELD": name, "NUMBERS": text})
+    return lines
 
 
 def _is_textured(verdict: Verdict) -> bool:

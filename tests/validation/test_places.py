@@ -129,7 +129,12 @@ def test_place_and_rotation_are_told_apart(base, factor, forgetful):
         return
     found = judged["answers"]
     if factor is by_place:
-        said = "`eval` and `sample` depend differently on the place in the world, si.p"
+        seeing, blind = (
+            ("sample", "eval") if forgetful == "value" else ("eval", "sample")
+        )
+        said = (
+            f"`eval` or `sample`: `{seeing}` depends, and `{blind}` does not, on si.p"
+        )
         assert found.function == "eval or sample"
         assert found.mistake == said
         assert told(reproducer(judged, "answers")) > 1

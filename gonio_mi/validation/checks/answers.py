@@ -157,8 +157,8 @@ def check_frames(evidence: Evidence) -> None:
             (b.name, b.guess.functions)
             for b in evidence.breaches
             if b.name in AGREEMENTS and b.effect == BIAS
-            if b.condition is not None
-            if (b.condition.turned or bool(b.condition.fields)) == is_turned
+            if b.condition is not None and not b.condition.fields
+            if b.condition.turned == is_turned
         }
         for is_turned in (False, True)
     )
@@ -241,8 +241,10 @@ def asked_again(
 
     In the order of the numbers `i`, of as many as there are; the last tell.
     """
+    slacks = samples.eval_slack, samples.pdf_slack[:, None]
     if i is None:
-        i = dr.arange(mi.UInt32, samples.n)
+        # a slack has what earlier calls changed
+        i, slacks = dr.arange(mi.UInt32, samples.n), tuple(0 * x for x in slacks)
     n, kept = dr.width(i), min(dr.width(i), samples.n)
     last = dr.arange(mi.UInt32, kept) + (n - kept)
     wi, wo, u = (
@@ -263,10 +265,9 @@ def asked_again(
     bs, weight = probe.sample(u.x, mi.Point2f(u.y, u.z), wi=wi)
     own = numbers(dr.gather(mi.UInt32, i, last), kept)
     given, usable = samples.given[own], samples.usable[own]
-    slack = samples.eval_slack[own], samples.pdf_slack[own, None]
     differs = {
-        EVAL: unequal(end(probe.eval(wo, wi=wi)), samples.eval[own], slack[0]),
-        PDF: unequal(end(probe.pdf(wo, wi=wi)), samples.pdf[own, None], slack[1]),
+        EVAL: unequal(end(probe.eval(wo, wi=wi)), samples.eval[own], slacks[0][own]),
+        PDF: unequal(end(probe.pdf(wo, wi=wi)), samples.pdf[own, None], slacks[1][own]),
         SAMPLE: unequal(end(weight), samples.weight[own], 0.0) & given
         | unequal(end(bs.pdf), samples.sampled_pdf[own, None], 0.0) & usable
         | _displaced(end(bs.wo), samples.wo[own]) & usable,
@@ -292,11 +293,14 @@ def check_same(
     In another order, or another number, by the numbers `i`.
     """
     found = asked_again(samples, Probe(evidence.bsdf, samples.condition), i)
+    # whatever the surroundings are
+    told = replace(samples, condition=replace(samples.condition, fields=()))
     for function, wrong in found.items():
-        how = {"size": 1.0 if i is None else 2.0, "off": None, "kind": kind}
+        how = {"size": 2.0, "off": None, "kind": kind}
+        how |= {"about": "" if i is None else str(dr.width(i))}
         if _is_by_chance(evidence, samples, function, wrong):
             mistake, how["effect"] = Answers.BY_CHANCE, BY_CHANCE[function]
-        evidence.breach(ANSWERS, mistake(function), samples, wrong, **how)
+        evidence.breach(ANSWERS, mistake(function), told, wrong, **how)
         return
 
 

@@ -16,8 +16,9 @@ import numpy as np
 
 # %% words
 ABOUT = ANSWER = AXES = COMPONENT = CORNERS = COUNT = DENSITY = DRAWN = EITHER = None
-EXCLUDED = EXPECTED = FLUX = INDEX = NM = NORMAL = OTHER = POSITION = QUANTITY = None
-ROUNDING = SOURCE = SPECTRUM = STALE = TURNED = UV = VARIANT = VARIANTS = WI = None
+EXCLUDED = EXPECTED = FLUX = INDEX = NM = NORMAL = NUMBERS = OTHER = POSITION = None
+QUANTITY = ROUNDING = SOURCE = SPECTRUM = STALE = TURNED = UV = VARIANT = None
+VARIANTS = WI = None
 values = []
 
 # %% variant
@@ -33,6 +34,8 @@ ctx.component = COMPONENT
 si.uv, si.dp_du, si.dp_dv = mi.Point2f(UV), 2 * si.sh_frame.s, 2 * si.sh_frame.t
 # %% position
 si.p = mi.Point3f(POSITION)
+# %% field
+si.FIELD = type(si.FIELD)(NUMBERS)
 # %% differentials
 si.duv_dx, si.duv_dy = mi.Vector2f(0.3, 0.1), mi.Vector2f(-0.1, 0.2)
 # %% wavelengths
@@ -114,6 +117,12 @@ si.wi = dr.mulsign(mi.warp.square_to_cosine_hemisphere(mi.Point2f(u[1:])), si.wi
 a, i, counts = answer(bs.wo), n - 1 - dr.arange(mi.UInt32, n), smooth()
 u, si.wi, bs.wo = u[:, ::-1], *(dr.gather(mi.Vector3f, x, i) for x in (si.wi, bs.wo))
 b = answer(bs.wo)[..., ::-1]
+# %% OTHER_IN_ANOTHER_NUMBER: by_sample
+i = np.arange(ABOUT) % 1024  # in a call of so many
+last = i[-1024:]
+a, counts = answer(bs.wo)[..., last], np.array(smooth())[last]
+u, (si, bs.wo) = u[:, i], (dr.gather(type(x), x, mi.UInt32(i)) for x in (si, bs.wo))
+b, u, n = answer(bs.wo)[..., -1024:], u[:, -1024:], len(last)
 # %% OTHER_IN_THE_WORLD: by_sample
 a, counts = np.atleast_2d(TURNED), smooth()
 si.sh_frame = mi.Frame3f([0, 0, 1])
