@@ -57,7 +57,7 @@ def as_bsdf(phase: mi.PhaseFunction) -> mi.BSDF:
     """
     flags = mi.BSDFFlags
     kinds = int(flags.GlossyReflection), int(flags.GlossyTransmission)
-    lobes = sum(kinds) | int(flags.FrontSide) | int(flags.BackSide)
+    lobes = sum(kinds) | int(flags.FrontSide | flags.BackSide | flags.Anisotropic)
 
     class Scatterer(mi.BSDF):
         """Asks the phase function at a point of a medium."""
@@ -66,17 +66,19 @@ def as_bsdf(phase: mi.PhaseFunction) -> mi.BSDF:
 
         def __init__(self, props: mi.Properties) -> None:
             super().__init__(props)
-            self.m_flags = lobes | int(flags.Anisotropic)
-            self.m_components = [self.m_flags] * max(1, phase.component_count())
+            self.m_flags = lobes
+            self.m_components = [lobes] * max(1, phase.component_count())
 
         def _asked(self, ctx: Any, si: Any) -> tuple[Any, Any]:
             """Context and point of a medium."""
-            context = mi.PhaseFunctionContext(None, ctx.mode)
-            context.component = ctx.component
-            mei = dr.zeros(mi.MediumInteraction3f)
-            mei.wi, mei.p, mei.wavelengths = si.to_world(si.wi), si.p, si.wavelengths
-            mei.sh_frame = mi.Frame3f(mei.wi)
-            mei.t, mei.time, mei.n = si.t, si.time, si.n
+            context, mei = (
+                mi.PhaseFunctionContext(None),
+                dr.zeros(mi.MediumInteraction3f),
+            )
+            context.mode, context.component = ctx.mode, ctx.component
+            for name in ("t", "time", "p", "n", "wavelengths"):
+                setattr(mei, name, getattr(si, name))
+            mei.wi, mei.sh_frame = (wi := si.to_world(si.wi)), mi.Frame3f(wi)
             return context, mei
 
         def sample(
