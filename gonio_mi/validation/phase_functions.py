@@ -53,11 +53,11 @@ def as_bsdf(phase: mi.PhaseFunction) -> mi.BSDF:
     """BSDF with the answers of a phase function, in the frame of the surface.
 
     Its ``eval`` and ``pdf`` are the two answers of ``eval_pdf``; light goes to both
-    sides. Turned surfaces probe a phase function off the axes of the world.
+    sides; turned surfaces probe it off the axes of the world.
     """
     flags = mi.BSDFFlags
-    kinds = int(flags.GlossyReflection), int(flags.GlossyTransmission)
-    lobes = sum(kinds) | int(flags.FrontSide | flags.BackSide | flags.Anisotropic)
+    back, on = int(flags.GlossyReflection), int(flags.GlossyTransmission)
+    lobes = back | on | int(flags.FrontSide | flags.BackSide | flags.Anisotropic)
 
     class Scatterer(mi.BSDF):
         """Asks the phase function at a point of a medium."""
@@ -71,11 +71,9 @@ def as_bsdf(phase: mi.PhaseFunction) -> mi.BSDF:
 
         def _asked(self, ctx: Any, si: Any) -> tuple[Any, Any]:
             """Context and point of a medium."""
-            context, mei = (
-                mi.PhaseFunctionContext(None),
-                dr.zeros(mi.MediumInteraction3f),
-            )
-            context.mode, context.component = ctx.mode, ctx.component
+            context = mi.PhaseFunctionContext(None, ctx.mode)
+            context.component = ctx.component
+            mei = dr.zeros(mi.MediumInteraction3f)
             for name in ("t", "time", "p", "n", "wavelengths"):
                 setattr(mei, name, getattr(si, name))
             mei.wi, mei.sh_frame = (wi := si.to_world(si.wi)), mi.Frame3f(wi)
@@ -89,8 +87,7 @@ def as_bsdf(phase: mi.PhaseFunction) -> mi.BSDF:
             wo, weight, pdf = phase.sample(*asked)
             bs = dr.zeros(mi.BSDFSample3f, dr.width(si.wi, sample1, sample2))
             bs.wo, bs.pdf, bs.eta = si.to_local(mi.Vector3f(wo)), pdf, 1.0
-            through = bs.wo.z * si.wi.z < 0
-            bs.sampled_type = dr.select(through, mi.UInt32(kinds[1]), kinds[0])
+            bs.sampled_type = dr.select(bs.wo.z * si.wi.z < 0, mi.UInt32(on), back)
             return bs, weight
 
         def eval_pdf(
