@@ -394,7 +394,7 @@ EFFORTS = {
         rings=20,
         sectors=32,
         angles=(0, 30, 60, 80, 85, 89, 89.9),
-        map_angles=(0, 45, 75, 89),
+        map_angles=(0, 30, 60, 80, 89),
         few_angles=(20, 70),
         threads=2,
     ),
