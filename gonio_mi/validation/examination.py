@@ -45,7 +45,7 @@ from .probe import Probe, number_parameters
 from .questions import OF_MATRICES, OF_SURFACES, OF_VOLUMES
 from .reproducers import source_of
 from .samples import Samples, samples_of, unequal
-from .verdict import FAILS, Verdict, properties_of
+from .verdict import FAILS, Property, Verdict, properties_of
 
 # Polar angle of incidence, in degrees, from which on incidence is grazing.
 GRAZING = 60
@@ -135,12 +135,7 @@ def validate(
         except PluginFault as fault:
             _stop(evidence, fault)
         properties = properties_of(evidence, alpha, allow)
-        found = [p for p in properties if p.status == FAILS]
-        # what is next to nothing explains nothing else
-        found = (
-            [p for p in found if not p.minor] if any(p.counts for p in found) else found
-        )
-        failed = {p.name: str(p.effect) for p in found}
+        failed = _failed(properties)
         shares = {p.name: p.share for p in properties}
         guess = likely_mistake(evidence, failed, shares) if failed else None
         if failed and not (polarised or evidence.of_volumes):
@@ -167,6 +162,13 @@ def validate(
         source,
         guess,
     )
+
+
+def _failed(properties: Sequence[Property]) -> dict[str, str]:
+    """Effects of what fails; what is next to nothing explains nothing that counts."""
+    found = [p for p in properties if p.status == FAILS]
+    counts = any(p.counts for p in found)
+    return {p.name: str(p.effect) for p in found if not (p.minor and counts)}
 
 
 def _questions(bsdf: mi.BSDF, name: str, allow: Sequence[str]) -> tuple[Question, ...]:
