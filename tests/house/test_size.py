@@ -19,18 +19,18 @@ BUDGET = {
     "plots": 830,
     "transport": 4090,
     "quadrature": 770,
-    "instrument": 1670,
+    "instrument": 1660,
     "campaigns": 620,
-    "plugins": 1060,
+    "plugins": 1020,
     "reports": 250,
     "commands": 1140,
     "entrance": 730,
-    "materials": 2590,
-    "exchange": 3770,
-    "analysis": 3860,
-    "validation": 8800,
+    "materials": 2600,
+    "exchange": 3760,
+    "analysis": 3830,
+    "validation": 9330,
 }
-CORE, WHOLE = 17300, 36300
+CORE, WHOLE = 17240, 36740
 HANDBOOK = Path(__file__).parents[2] / "notebooks" / "how_it_is_built.md"
 
 
