@@ -277,7 +277,9 @@ class Evidence:
 
         Of many samples, or a few that are wrong by another cause would be chance.
         """
-        first = [*self.samples, *self.sweeps][0]
+        first = next(iter([*self.samples, *self.sweeps]), None)
+        if first is None:
+            return False
         again = Probe(self.bsdf, first.condition).values(first.wo)
         usable = first.usable & np.isfinite(again).all(axis=1)
         many = (again != first.eval).any(axis=1)[usable].sum() > MIN_RANDOM * first.n

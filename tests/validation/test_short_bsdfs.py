@@ -40,7 +40,7 @@ def test_counts_explain_the_wrong_mean_of_right_weights():
     short_bsdfs.register()
     verdict = judged("sample_of_another_exponent", "quick")
     assert verdict.function == "sample", str(verdict)
-    assert "draws directions" in verdict.mistake
+    assert "directions are drawn" in verdict.mistake
 
 
 def test_page_begins_with_the_direction_that_fails(tmp_path):

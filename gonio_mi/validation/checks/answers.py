@@ -235,16 +235,18 @@ def _displaced(a: Floats, b: Floats) -> Flags:
 
 
 def asked_again(
-    samples: Samples, probe: Probe, i: mi.UInt32 | None = None
+    samples: Samples, probe: Probe, i: mi.UInt32 | None = None, exact: bool = False
 ) -> dict[Function, Flags]:
     """Functions whose answers about samples are others, with masks of these samples.
 
-    In the order of the numbers `i`, of as many as there are; the last tell.
+    In the order of the numbers `i`, of as many as there are; the last tell. Without
+    slack if they are to be `exact`, for a slack has what earlier calls changed.
     """
     slacks = samples.eval_slack, samples.pdf_slack[:, None]
+    if exact:
+        slacks = 0 * slacks[0], 0 * slacks[1]
     if i is None:
-        # a slack has what earlier calls changed
-        i, slacks = dr.arange(mi.UInt32, samples.n), tuple(0 * x for x in slacks)
+        i = dr.arange(mi.UInt32, samples.n)
     n, kept = dr.width(i), min(dr.width(i), samples.n)
     last = dr.arange(mi.UInt32, kept) + (n - kept)
     wi, wo, u = (
@@ -269,7 +271,7 @@ def asked_again(
         EVAL: unequal(end(probe.eval(wo, wi=wi)), samples.eval[own], slacks[0][own]),
         PDF: unequal(end(probe.pdf(wo, wi=wi)), samples.pdf[own, None], slacks[1][own]),
         SAMPLE: unequal(end(weight), samples.weight[own], 0.0) & given
-        | unequal(end(bs.pdf), samples.sampled_pdf[own, None], 0.0) & usable
+        | unequal(end(bs.pdf), samples.sampled_pdf[own, None], slacks[1][own]) & usable
         | _displaced(end(bs.wo), samples.wo[own]) & usable,
     }
     found = {}
@@ -287,12 +289,13 @@ def check_same(
     mistake: Answers,
     kind: Kind,
     i: mi.UInt32 | None = None,
+    exact: bool = False,
 ) -> None:
     """Check that answers about samples are the same when these are asked again.
 
-    In another order, or another number, by the numbers `i`.
+    Parameters as of :func:`asked_again`.
     """
-    found = asked_again(samples, Probe(evidence.bsdf, samples.condition), i)
+    found = asked_again(samples, Probe(evidence.bsdf, samples.condition), i, exact)
     # whatever the surroundings are
     told = replace(samples, condition=replace(samples.condition, fields=()))
     for function, wrong in found.items():
@@ -327,7 +330,7 @@ def add_field(evidence: Evidence, field: str, names: Collection[str]) -> None:
     """
     samples = evidence.sweeps[0]
     usual = replace(samples.condition, fields=())
-    changed = asked_again(samples, Probe(evidence.bsdf, usual))
+    changed = asked_again(samples, Probe(evidence.bsdf, usual), exact=True)
     for name, both in OF_TWO.items():
         seeing = [one for one in changed if one in both]
         if name not in names or not seeing:

@@ -183,15 +183,8 @@ def _wrong(
         # densities may be detached in all functions: those of samples are
         detached = all(not x[:, -1].any() for f, x in slopes.items() if f != EVAL)
         for one in asked:
-            slope, due, wrong = (
-                slopes[one],
-                *_differences(
-                    here[one],
-                    [[x[one] for x in pair] for pair in pairs],
-                    slopes[one],
-                    line,
-                ),
-            )
+            slope, each = slopes[one], [[x[one] for x in pair] for pair in pairs]
+            due, wrong, small = _differences(here[one], each, slope, line)
             if detached and one != EVAL:
                 wrong[:, -1] = False
             # jumps, of which a gradient knows nothing, are in few directions
@@ -203,11 +196,9 @@ def _wrong(
                 text = f"for {share:.3g} of the directions, with the median {own:.4g} "
                 text += f"where differences have {expected:.4g}"
                 yield Parameters.GRADIENT(one, name=name), text, share
-            elif closely:
-                right = ~wrong.any(axis=1)
-                own, expected, slack = _backward(
-                    probe, one, along, wo[right], slope[right]
-                )
+            elif closely and (right := small & ~wrong.any(axis=1)).any():
+                by = _backward(probe, one, along, wo[right], slope[right])
+                own, expected, slack = by
                 if not abs(own - expected) <= slack:
                     text = f"{own:.4g} where forward gradients have {expected:.4g}"
                     yield Parameters.BACKWARD(one, name=name), text, 1.0
@@ -224,8 +215,8 @@ def _columns(parts: tuple[Any, ...], wo: Floats) -> Floats:
 
 def _differences(
     here: Floats, pairs: Sequence[Sequence[Floats]], slope: Floats, line: _Line
-) -> tuple[Floats, Flags]:
-    """Central differences, and where a gradient is not theirs."""
+) -> tuple[Floats, Flags, Flags]:
+    """Central differences, where a gradient is not theirs, and where they are small."""
     widths = [2 * h * line.size for h in STEPS]
     coarse, middle, fine = ((a - b) / width for (a, b), width in zip(pairs, widths))
     # each value is known to some roundings
@@ -233,15 +224,20 @@ def _differences(
     changes = np.abs(fine - middle) + np.abs(middle - coarse)
     wrong = ~(np.abs(slope - fine) <= STEP_SLACK * changes + noise / widths[-1])
     # where the smallest step changes much, differences know nothing of the slope
-    small = [np.abs(x - here) <= MAX_CHANGE * here for x in pairs[-1]]
-    return fine, wrong & np.all(small, axis=0)
+    each = [np.abs(x - here) <= MAX_CHANGE * here for x in pairs[-1]]
+    small = np.all(each, axis=0)
+    return fine, wrong & small, small.all(axis=1)
 
 
 def _forward(
     probe: Probe, asked: Sequence[Function], along: mi.Float, wo: Floats
 ) -> dict[Function, Floats]:
     """Derivatives of answers by what parameters depend on, shape (n, columns)."""
-    answers = {one: FUNCTIONS[one](probe, vectors(wo)) for one in asked}
+    # one answer may follow from another, whose gradient would be cleared
+    end = dr.opaque(mi.Float, 1)
+    answers = {
+        one: tuple(x * end for x in FUNCTIONS[one](probe, vectors(wo))) for one in asked
+    }
     with as_plugin_fault(str(asked[0])):
         dr.forward(along, flags=FLAGS)
     return {k: _columns(tuple(map(dr.grad, x)), wo) for k, x in answers.items()}
