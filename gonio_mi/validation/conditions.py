@@ -288,7 +288,7 @@ def surroundings() -> dict[str, Floats]:
         "sh_frame": q[:, :, 2],
         "dp_du": u,
         "dp_dv": v,
-        "prim_index": rng.integers(0, 1000, n),
+        "prim_index": rng.integers(0, 1000, n) % 2,  # of a table of two faces at least
         "uv": uv,
     }
 

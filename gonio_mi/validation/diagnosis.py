@@ -175,8 +175,8 @@ def _lobes(evidence: Evidence, _: Mapping[str, str]) -> Guess | None:
         differs = unequal(density, samples.pdf, samples.pdf_slack) & samples.smooth
         return not beyond_rounding(differs)
 
-    if not are_apart(evidence.bsdf, samples, each):
-        return None  # no component can be asked alone
+    if not are_apart(evidence.bsdf, samples, each) or each.pdf.any(axis=1).sum() < 2:
+        return None  # no component can be asked alone, or one is all
     own = [i for i, density in enumerate(each.pdf) if is_it(density)]
     if len(own) == 1:
         return Diagnosis.ONE_COMPONENT(PDF, component=own[0])

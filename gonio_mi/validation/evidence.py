@@ -19,7 +19,7 @@ from .kinds import Kind, MatrixKind
 from .maps import FourMaps
 from .mistakes import Function, Guess, Mistake
 from .probe import Probe
-from .samples import Samples, beyond_rounding, means_differ
+from .samples import Samples, beyond_rounding, means_differ, unequal
 
 # What a failure does to an image, the worst first.
 BIAS = "biases images"
@@ -282,7 +282,7 @@ class Evidence:
             return False
         again = Probe(self.bsdf, first.condition).values(first.wo)
         usable = first.usable & np.isfinite(again).all(axis=1)
-        many = (again != first.eval).any(axis=1)[usable].sum() > MIN_RANDOM * first.n
+        many = unequal(again, first.eval, 0)[usable].sum() > MIN_RANDOM * first.n
         return bool(many) and not means_differ(
             first.eval[usable], again[usable], first.wo[usable]
         )

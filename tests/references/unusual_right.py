@@ -11,7 +11,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from broken_by_dimension import Coat, Metal, Spectral, Textured, Veil, odd
+from broken_by_dimension import Coat, Grey, Metal, Spectral, Textured, Veil, odd
 from plain_bsdf import lobes, name_of, over, plain
 
 
@@ -110,8 +110,8 @@ def load(right):
     return {"type": name}
 
 
-class Noisy:
-    """Draws numbers of its own."""
+class Noisy(Grey):
+    """Draws numbers of its own; it has a parameter."""
 
     calls = 0
 
@@ -243,6 +243,33 @@ class ByTriangle:
     def value(self, ctx, si, wo):
         own = si.prim_index % 2 == 1
         return super().value(ctx, si, wo) * dr.select(own, 0.25, 1.0)
+
+
+@unusual("answers")
+class TableOfFaces:
+    """A reflectance for each of two faces, and an albedo that is not theirs."""
+
+    def load(self, props):
+        self.table, self.axis = mi.Float([0.2, 0.7]), mi.Vector3f(0, 0, 1)
+
+    def traverse(self, callback):
+        callback.put("axis", self.axis, mi.ParamFlags.Differentiable)
+
+    def value(self, ctx, si, wo):
+        own = dr.gather(mi.Float, self.table, si.prim_index)
+        return super().value(ctx, si, wo) * own
+
+    def eval_diffuse_reflectance(self, si, active=True):
+        return mi.Spectrum(0.1)
+
+
+@unusual()
+class CheckedRange(Grey):
+    """A parameter that is refused beyond its range."""
+
+    def parameters_changed(self, keys):
+        if dr.any((self.reflectance < 0.5) | (self.reflectance > 0.62)):
+            raise ValueError("reflectance must be in [0.5, 0.62]")
 
 
 @unusual()

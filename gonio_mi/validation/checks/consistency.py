@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import replace
 
 import drjit as dr
@@ -15,6 +16,9 @@ from ..kinds import Kind
 from ..probe import Probe, numbers, spectral
 from ..samples import Samples, beyond_rounding, samples_of, unequal
 from . import answers, cost, sampling
+
+# What a sweep tells of properties that hold.
+TOLD = ("undecided", "downgraded", "remarks")
 
 # Rays of a preview, and of a large wavefront, of which so many differ.
 FEW, MANY, SAME = 300, 2**22 + 2**10, 2**10
@@ -75,12 +79,17 @@ def check_sweep(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> None:
             found.change(found.of("sampled_weight"), effect=BIAS)
     for name in ("breaches", "tests", "sweeps", "in_radiance_mode"):
         getattr(evidence, name).extend(getattr(found, name))
+    for name in TOLD:
+        getattr(evidence, name).update(getattr(found, name))
 
 
 def _swept(evidence: Evidence, sweep: Sweep, plan: Effort) -> Evidence:
     """What a sweep alone finds."""
     key = (evidence.seed, 4)
-    found = replace(evidence, breaches=[], tests=[], sweeps=[], in_radiance_mode=[])
+    own = {name: deepcopy(getattr(evidence, name)) for name in TOLD}
+    found = replace(
+        evidence, breaches=[], tests=[], sweeps=[], in_radiance_mode=[], **own
+    )
     samples = samples_of(evidence.bsdf, sweep, sweep.n, key)
     found.sweeps.append(samples)
     check_identities(found, samples)

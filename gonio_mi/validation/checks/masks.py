@@ -63,6 +63,8 @@ def check_bsdf(evidence: Evidence) -> None:
         masked = numbers(masked, n) if flat else spectral(masked, n)
         usable = active & np.isfinite(plain if flat else plain.sum(axis=1))
         changed = unequal(masked.astype(float), plain, 0.0) & usable
+        if evidence.noisy and function is not SAMPLE and not flat:
+            changed[:] = False  # by chance
         light = np.zeros(n) if flat else np.abs(masked).sum(axis=1)
         awake = ~active & (light != 0)
         for wrong, mistake, kind in (

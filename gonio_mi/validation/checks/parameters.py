@@ -84,10 +84,11 @@ def check_changes(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> Non
         # numbers of another kind than at first may round otherwise
         update(evidence.bsdf, values)
         first = answers_of()
+        by_chance = _differing(first, answers_of())
         if may_update_often(evidence, plan):
-            _check_updates(evidence, values, answers_of)
+            _check_updates(evidence, values, answers_of, by_chance)
         _check_values(evidence, plan, sides, values)
-        own = _differing(first, answers_of())
+        own = [x for x in _differing(first, answers_of()) if x not in by_chance]
     except PluginFault as fault:
         evidence.breach_of_fault(PARAMETERS, fault)
         return
@@ -143,7 +144,9 @@ def _check_further(evidence: Evidence, plan: Effort, values: dict[str, Any]) -> 
             for name, x in values.items()
             if isinstance(x, kinds) and np.array(x).any()
         }
-        after = _asked_after(evidence, others, identities) if others else evidence
+        if not others:
+            return
+        after = _asked_after(evidence, others, identities)
         improper = after is None or bool(after.of("answers"))
         # together, they may be out of their range
         alone = may_update_often(evidence, plan) if improper else _breaches(after)
@@ -212,11 +215,15 @@ def _subject(own: Sequence[str]) -> dict[str, str]:
 
 
 def _check_updates(
-    evidence: Evidence, values: dict[str, Any], answers_of: Answers
+    evidence: Evidence,
+    values: dict[str, Any],
+    answers_of: Answers,
+    by_chance: Sequence[str],
 ) -> None:
     """Check that an update of all parameters changes nothing that needs no change.
 
     Neither at first, nor after one parameter got another value, in its range or not.
+    Functions that answer `by_chance` are others anyway.
     """
     names = few(values) if len(values) > 1 else ()
     for name in ("", *names):
@@ -225,7 +232,9 @@ def _check_updates(
             with changed(evidence.bsdf, others):
                 before = answers_of()
                 update(evidence.bsdf, values)
-                own = _differing(before, answers_of())
+                own = [
+                    x for x in _differing(before, answers_of()) if x not in by_chance
+                ]
         except PluginFault:
             if name:
                 continue  # a value that is refused
