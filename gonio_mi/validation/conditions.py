@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -213,7 +214,7 @@ class Sweep(Condition):
         k = own[np.argsort(self.angles[0, own])[len(own) // 2]] if own.size else 0
         theta, phi = (round(float(angle), 1) for angle in self.angles[:, k])
         side = "front" if self.wi[k, 2] > 0 else "back"
-        more = {"fields": self.fields, "spot": int(self.spots[k])}
+        more: dict[str, Any] = {"fields": self.fields, "spot": int(self.spots[k])}
         if mi.is_spectral:
             more["nm"] = tuple(self.wavelengths[k].round(1).tolist())
         return Condition(

@@ -275,7 +275,7 @@ def _find(ratios: Sequence[Ratio]) -> _Found | None:
         if with_constant and all(_is_one(rest / constant) for rest in rests):
             return _Found(name, power, constant)
     masking = next((k for k in (1, -1) if _is_masking(ratios, k)), None)
-    return masking and _Found("masking", masking)
+    return None if masking is None else _Found("masking", masking)
 
 
 def _is_masking(ratios: Sequence[Ratio], power: int) -> bool:

@@ -407,8 +407,8 @@ def _box(verdict: Verdict, name: str) -> tuple[FourMaps | None, Any]:
                 ends = edges if up else [-x for x in edges]
                 low[1], high[1] = sorted((1 - x) / 2 for x in ends)
             found.append((float(flux.max()) / n, maps, (low, high)))
-    flux, best, corners = max(found, key=lambda one: one[0], default=(0.0, None, None))
-    return (best, corners) if flux > 0 else (None, EVERYWHERE)
+    wrong, best, corners = max(found, key=lambda one: one[0], default=(0, None, None))
+    return (best, corners) if wrong > 0 else (None, EVERYWHERE)
 
 
 # ------------------------------------------------------------------- the BSDF as text

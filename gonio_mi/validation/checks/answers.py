@@ -299,8 +299,8 @@ def check_same(
     # whatever the surroundings are
     told = replace(samples, condition=replace(samples.condition, fields=()))
     for function, wrong in found.items():
-        how = {"size": 2.0, "off": None, "kind": kind}
-        how |= {"about": "" if i is None else str(dr.width(i))}
+        about = "" if i is None else str(dr.width(i))
+        how: dict[str, Any] = {"size": 2.0, "off": None, "kind": kind, "about": about}
         if _is_by_chance(evidence, samples, function, wrong):
             mistake, how["effect"] = Answers.BY_CHANCE, BY_CHANCE[function]
         evidence.breach(ANSWERS, mistake(function), told, wrong, **how)

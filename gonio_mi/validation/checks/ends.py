@@ -141,8 +141,8 @@ def _check_condition(evidence: Evidence, probe: Probe, place: str) -> None:
         (Function.EVAL_PDF, spectral(joint[0], n)),
         (Function.EVAL_PDF, densities[1]),
     ):
-        found = value, directions, place, along, black
-        _check_finite(evidence, function, "value", *found)
+        own = value, directions, place, along, black
+        _check_finite(evidence, function, "value", *own)
 
 
 def _check_finite(

@@ -132,7 +132,8 @@ def _check_values(
 def _check_further(evidence: Evidence, plan: Effort, values: dict[str, Any]) -> None:
     """Check that functions agree where numbers are others again, and where tiny."""
     kinds = (mi.Float, mi.Color3f, mi.Spectrum)
-    sweep, key = replace(evidence.sweeps[0].condition, n=N_UPDATED), (evidence.seed, 4)
+    usual: Any = evidence.sweeps[0].condition
+    sweep, key = replace(usual, n=N_UPDATED), (evidence.seed, 4)
 
     def identities(found: Evidence) -> None:
         found.sweeps.append(samples_of(evidence.bsdf, sweep, N_UPDATED, key))
@@ -147,14 +148,16 @@ def _check_further(evidence: Evidence, plan: Effort, values: dict[str, Any]) -> 
         if not others:
             return
         after = _asked_after(evidence, others, identities)
-        improper = after is None or bool(after.of("answers"))
         # together, they may be out of their range
-        alone = may_update_often(evidence, plan) if improper else _breaches(after)
+        if after is None or after.of("answers"):
+            alone = may_update_often(evidence, plan)
+        else:
+            alone = bool(_breaches(after))
         for name in few(others) if alone else ():
             found = _asked_after(evidence, {name: others[name]}, identities)
-            wrong = [] if found is None or found.of("answers") else _breaches(found)
-            if not wrong:
+            if found is None or found.of("answers") or not _breaches(found):
                 continue
+            wrong = _breaches(found)
             to = ", ".join(f"{x:.3g}" for x in np.ravel(np.array(others[name])))
             before = samples_of(evidence.bsdf, sweep, N_UPDATED, key)
             function = _stale(before, found)

@@ -216,7 +216,7 @@ def test_spots_that_nothing_met():
 
 def test_points_are_compared_with_rays(monkeypatch):
     """Their light of one event agrees; twin: points that do not see some patch."""
-    light = surface_points.SurfacePoints.light
+    light = surface_points.SurfacePoints.single_scattering
 
     def blind(self, *arguments):
         found = light(self, *arguments)
@@ -226,7 +226,7 @@ def test_points_are_compared_with_rays(monkeypatch):
 
     specimen, where = grooves(30, 1, bsdf=GREY), INCIDENTS[1:2]
     split(specimen, where)
-    monkeypatch.setattr(surface_points.SurfacePoints, "light", blind)
+    monkeypatch.setattr(surface_points.SurfacePoints, "single_scattering", blind)
     with pytest.raises(SpecimenError, match="differs in some patches"):
         split(specimen, where)
 
