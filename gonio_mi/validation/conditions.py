@@ -363,6 +363,11 @@ class Effort:
             few = self._spread(self.few_angles[:1], sides[:1])
             yield from (replace(one, component=component) for one in few)
 
+    def between(self, sides: Sequence[str]) -> Iterator[Condition]:
+        """Conditions of maps halfway between those of the front, 0 and 90 degrees."""
+        edges = np.unique([0, *self.map_angles, 90])
+        return self._spread(tuple((edges[1:] + edges[:-1]) / 2), sides)
+
     def radiance(self, sides: Sequence[str]) -> Iterator[Condition]:
         """Conditions to be examined in radiance mode."""
         return self._spread(self.few_angles[:1], sides)

@@ -320,6 +320,7 @@ def _check_maps(
                 evidence.maps.append(in_radiance_mode(evidence.bsdf, first, key))
     for maps in evidence.maps:
         evidence.ask("maps", maps)
+    _look_between(evidence, plan, sides)
     sampling.check_pooled(evidence)
     sampling.check_roulette(evidence)
     lit = any(samples.given.any() for samples in evidence.samples)
@@ -337,6 +338,23 @@ def _check_maps(
                 evidence.undecided[name] = text
             else:
                 evidence.remark(name, text)
+
+
+def _look_between(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> None:
+    """Add maps at other angles if what is wrong is little at those that were asked.
+
+    It may be more in between, as for Beckmann facets of Mitsuba's: of the flux, 4e-5 at
+    80 and 89 degrees and 7e-4 at 75.
+    """
+    wrong = [test for test in evidence.tests if test.p < MAX_P and test.of_flux]
+    if not wrong or not all(test.minor for test in wrong):
+        return
+    for i, condition in enumerate(plan.between(sides)):
+        key = (evidence.seed, 3, i)
+        maps = four_maps(evidence.bsdf, condition, plan.patches, plan.samples, key)
+        if maps is not None:
+            evidence.maps.append(maps)
+            evidence.ask("maps", maps)
 
 
 def _add_maps_of_failure(evidence: Evidence, plan: Effort) -> None:

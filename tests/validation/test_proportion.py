@@ -56,10 +56,23 @@ class Fireflies(Noisy):
         return super().weight(ctx, si, bs) * dr.select(rare, 1e4, 1.0)
 
 
+class LosesLittle:
+    """Of 20 000 samples one fails, at all angles of incidence."""
+
+    lost = 5e-5
+
+    def weight(self, ctx, si, bs):
+        return super().weight(ctx, si, bs) & self.kept
+
+    def direction(self, ctx, si, sample1, sample2):
+        self.kept = sample1 > self.lost
+        return super().direction(ctx, si, sample1, sample2)
+
+
 def judged(mixin, **options):
     """Verdict on a mixin."""
     mi.register_bsdf(name_of(mixin), over(mixin, plain()))
-    return validate({"type": name_of(mixin)}, effort="quick", **options)
+    return validate({"type": name_of(mixin)}, **{"effort": "quick"} | options)
 
 
 @pytest.mark.parametrize(
@@ -82,8 +95,8 @@ def test_what_is_no_chance_and_not_little_fails(mixin, function, property_):
 
 @pytest.mark.usefixtures("mono")
 def test_next_to_nothing_is_told_and_fails_if_strict():
-    """Some 4e-5 of the flux at 89 degrees, which its density has too much."""
-    verdict = validate({"type": "roughconductor", "alpha": 0.2}, effort="normal")
+    """5e-5 of the flux are lost wherever light comes from."""
+    verdict = judged(LosesLittle, effort="normal")
     assert verdict.passed, str(verdict)
     assert "passes, with a remark: biases images, but next to" in verdict.headline
     assert "of the flux from a lit surface" in verdict.headline
@@ -95,3 +108,14 @@ def test_next_to_nothing_is_told_and_fails_if_strict():
     assert not strict.passed
     unknown = [replace(one, minor=False) for one in verdict.properties]
     assert not replace(verdict, properties=tuple(unknown)).passed
+
+
+@pytest.mark.usefixtures("mono")
+def test_what_is_little_at_some_angles_is_looked_at_between():
+    """Beckmann facets lose 4e-5 of the flux at 80 degrees and 7e-4 at 75.
+
+    By means of 2^24 samples and a midpoint rule: dhr 0.9144 and 0.9172 at 75 degrees.
+    """
+    verdict = validate({"type": "roughconductor", "alpha": 0.2}, effort="normal")
+    assert not verdict.passed, str(verdict)
+    assert 1e-4 < verdict["weights"].share < 2e-3
