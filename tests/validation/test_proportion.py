@@ -39,6 +39,13 @@ class OwnUniform(OwnRandomNumbers):
         return mi.warp.square_to_uniform_hemisphere(point)
 
 
+class UniformBesideNoise(StochasticEval):
+    """Its directions are uniform, their density is said to be of the cosine."""
+
+    def direction(self, ctx, si, sample1, sample2):
+        return mi.warp.square_to_uniform_hemisphere(sample2)
+
+
 class NanNearGrazing(NanAtGrazing):
     """NaN within a hundredth of a degree of the surface."""
 
@@ -81,6 +88,7 @@ def judged(mixin, **options):
         (HalfByChance, "eval", "sampled_weight"),
         (JointHalf, "eval_pdf", "eval_pdf"),
         (OwnUniform, "sample", "sampling"),
+        (UniformBesideNoise, "sample", "sampling"),
         (NanNearGrazing, "eval", "ends"),
         (Fireflies, "sample", "weights"),
     ],
