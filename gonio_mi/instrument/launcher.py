@@ -41,6 +41,10 @@ FIRST_POINTS = 2**22
 # depend on the launch, rounds are whole launches.
 ROUND_TRACED, ROUND_PLANE = 2**17, 2**24
 
+# Rays of few batches in a round, at least: neighbours along the curve, which traverse
+# the same part of the specimen, are as close as those of many batches.
+ROUND_SHARED = 2**21
+
 # Incident directions that may share a launch, at least: it is another kernel, and to
 # compile it takes as long as some dozens of launches.
 FEWEST_TOGETHER = 8
@@ -59,7 +63,9 @@ def round_rays(setup: Setup) -> int:
     """Rays per batch that complete a low-discrepancy set."""
     if not is_joint(setup.sampler):
         return MAX_LAUNCH
-    return ROUND_TRACED if traces(setup) else ROUND_PLANE
+    if not traces(setup):
+        return ROUND_PLANE
+    return max(ROUND_TRACED, ROUND_SHARED >> (setup.settings.batches - 1).bit_length())
 
 
 class Launcher:
