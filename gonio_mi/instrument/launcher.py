@@ -29,8 +29,9 @@ FUSED_RAYS = 2**22
 FUSED_SUMS = 2**19
 
 # The same numbers of all incident directions that share launches: beyond the cache,
-# because Dr.Jit's idle threads spin for 10 ms after each launch.
-STACKED_SUMS = 2**21
+# because Dr.Jit's idle threads spin for 10 ms after each launch, and as many as
+# Dr.Jit 1.5 keeps apart for each thread, for more of them are added by atomic operations.
+STACKED_SUMS = 2**20
 
 # Rays of the first launch: traced and on a plane; and points that traced ones send
 # light to. Then as many as take a second.
