@@ -25,7 +25,13 @@ exclude_patterns = ["_extension", "build", "**.ipynb_checkpoints"]
 html_theme = "sphinx_book_theme"
 html_title = "gonio-mi"
 html_show_sourcelink = False
-html_theme_options = {"show_toc_level": 2, "use_download_button": False}
+html_theme_options = {
+    "show_toc_level": 2,
+    "use_download_button": False,
+    "navbar_persistent": [],  # a search box in the sidebar is enough
+}
+html_static_path = ["_static"]
+html_css_files = ["handbook.css"]
 suppress_warnings = ["mystnb.unknown_mime_type"]
 
 myst_enable_extensions = ["dollarmath", "colon_fence"]
