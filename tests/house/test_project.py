@@ -17,6 +17,8 @@ def test_the_version_is_cited_and_has_an_entry():
     assert re.findall(r"version = \{(.*)\}", README) == [version]
     changes = (ROOT / "notebooks" / "changes.md").read_text(encoding="utf-8")
     assert f"\n## {version}\n" in changes
+    recipe = (ROOT / ".github" / "conda" / "recipe.yaml").read_text(encoding="utf-8")
+    assert f"\n  version: {version}\n" in recipe
 
 
 def broken(text):
