@@ -26,22 +26,21 @@ COUNTS = 31
 
 
 def bar(
-    shown: bool, part: str = "", **how: Any
+    shown: bool, **how: Any
 ) -> AbstractContextManager[Callable[[float], Any] | None]:
     """Context of the function to report progress to; of None if it is not `shown`.
 
     Where standard error is a file or a pipe, a line is written about every 30 seconds,
-    however many bars there are one after the other; after the description `part` tells
-    there what is counted. `how` are the arguments of :class:`tqdm.tqdm`.
+    however many bars there are one after the other. `how` are the arguments of
+    :class:`tqdm.tqdm`.
     """
     if not shown:
         return nullcontext()
     notebook = type(sys.stderr).__module__.startswith("ipykernel")
     in_place = sys.stderr.isatty() or notebook
-    said = how.get("desc")
     if not in_place:
-        how["desc"] = f"{said}; {part}" if said and part else said
         return _Lines(leave=False, **how)
+    said = how.get("desc")
     if said and how.get("total") is not None:
         columns = shutil.get_terminal_size((80, 24)).columns
         how["desc"] = abridged(said, max(columns - COUNTS, COUNTS))

@@ -120,7 +120,7 @@ class MeasuredDirections:
         """Begin without any direction."""
         self.records: dict[tuple[float, float], Record] = {}
         self.rays = self.n_rounds = self.n_timed = 0
-        self.seconds, self.flux = 0.0, np.zeros(2)
+        self.expected, self.seconds, self.flux = 0.0, 0.0, np.zeros(2)
 
     def start_anew(self, patches: Subdivision | None = None) -> None:
         """Forget all directions; take the next estimator, or `patches` if given."""
@@ -156,14 +156,15 @@ class MeasuredDirections:
         if not new:
             return
         started = time.perf_counter()
-        # fits a terminal
-        label = f"{abridged(self.name, 12)}, {len(self.records)} measured, {purpose}"
+        label = f"{abridged(self.name, 24)}, {purpose}"
         logger.info("%s: %d more", label, len(new))
         part = f"{self.estimators[0]}_{self.n_rounds:03d}"
         settings = self.settings | self._goals(goal)
         if seed is not None and self.estimators[0].splits:
             settings["seed"] = seed
-        stack = self._kept(part, new, settings, label)
+        known, expected = len(self.records), self.expected
+        where = replace(self.where, measured=known, expected=expected)
+        stack = self._kept(part, new, settings, label, where)
         self.rays += stack.ledger.emitted
         flux = stack.flux_fraction
         self.flux += flux[:, :1].sum(), flux[:, 1:].sum()
@@ -177,9 +178,10 @@ class MeasuredDirections:
         incidents: Sequence[tuple[float, float]],
         settings: dict[str, Any],
         label: str,
+        where: ExecutionContext | None = None,
     ) -> Record:
         """Stack of directions that is kept in a part of the folder, if there is one."""
-        where = self.where
+        where = where or self.where
         if where.folder is not None:
             if self.chosen is not None:
                 part += f"_{self.chosen}".replace(":", "_")
@@ -281,8 +283,11 @@ class MeasuredDirections:
         return self._stack([incident], where, self.settings | settings)[0]
 
     def announce(self, expected: float) -> None:
-        """Warn, once, if so many directions in all will take long."""
-        more = expected - len(self.records)
+        """Tell the progress bar how many directions in all there may be.
+
+        Warn, once, if they will take long.
+        """
+        self.expected, more = expected, expected - len(self.records)
         left = more * self.seconds / max(self.n_timed, 1)
         if left > MIN_ANNOUNCED and not self.announced:
             self.announced = True
