@@ -29,8 +29,8 @@ FUSED_RAYS = 2**22
 FUSED_SUMS = 2**19
 
 # The same numbers of all incident directions that share launches: beyond the cache,
-# because Dr.Jit's idle threads spin for 10 ms after each launch, and as many as
-# Dr.Jit 1.5 keeps apart for each thread, for more of them are added by atomic operations.
+# because Dr.Jit's idle threads spin for 10 ms after each launch, and as many as Dr.Jit
+# 1.5 keeps apart for each thread, for more of them are added by atomic operations.
 STACKED_SUMS = 2**20
 
 # Rays of the first launch: traced and on a plane; and points that traced ones send
@@ -64,9 +64,8 @@ def round_rays(setup: Setup) -> int:
     """Rays per batch that complete a low-discrepancy set."""
     if not is_joint(setup.sampler):
         return MAX_LAUNCH
-    if not traces(setup):
-        return ROUND_PLANE
-    return max(ROUND_TRACED, ROUND_SHARED >> (setup.settings.batches - 1).bit_length())
+    shared = ROUND_SHARED >> (setup.settings.batches - 1).bit_length()
+    return max(ROUND_TRACED, shared) if traces(setup) else ROUND_PLANE
 
 
 class Launcher:
