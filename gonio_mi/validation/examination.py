@@ -38,6 +38,7 @@ from .conditions import Condition, Effort, sides_of
 from .cosines import explain_reciprocity
 from .diagnosis import likely_mistake
 from .evidence import BIAS, MAX_P, NOISE, Evidence, Question
+from .kinds import Kind
 from .maps import four_maps, in_radiance_mode
 from .phase_functions import as_bsdf, examine_phase_function
 from .polarised import examine_polarised
@@ -46,6 +47,12 @@ from .questions import OF_MATRICES, OF_SURFACES, OF_VOLUMES
 from .reproducers import source_of
 from .samples import Samples, samples_of, unequal
 from .verdict import FAILS, Property, Verdict, properties_of
+
+# Of a plugin that scatters nothing from the side that it declares.
+OF_ANOTHER_SIDE = (
+    "all light met the {0} of the surface, the only side that `flags` declares, which "
+    "scatters none; light from the {1} is scattered: a sign of wi.z or `flags` is wrong"
+)
 
 # Polar angle of incidence, in degrees, from which on incidence is grazing.
 GRAZING = 60
@@ -161,6 +168,7 @@ def validate(
         tuple(evidence.maps),
         source,
         guess,
+        evidence.note,
     )
 
 
@@ -326,8 +334,12 @@ def _check_maps(
     lit = any(samples.given.any() for samples in evidence.samples)
     lit = lit or any(m.smooth_flux.any() for m in evidence.maps)
     if not (lit or failed):
+        dark = (b for b in evidence.of("flags") if b.kind is Kind.UNDECLARED_SIDE)
+        text = "no light was scattered, so that nothing was compared"
+        if other := next(dark, None):
+            text = OF_ANOTHER_SIDE.format(sides[0], other.condition.side)
         for name in ("sampling", "weights", "energy"):
-            evidence.undecided[name] = "nothing was lit, so that nothing was compared"
+            evidence.undecided[name] = text
     if failed:
         text = (
             f"the integrals of {failed} of {len(conditions)} incident directions did "

@@ -144,9 +144,12 @@ class _Examination:
         answered = (values.raw[smooth], lobes.weights.raw[lobes.given])
         if sum(map(len, answered)) == 0:
             for question in evidence.questions[1:]:
-                text = "nothing was lit, so that nothing was seen"
+                text = "no light was scattered, so that nothing was compared"
                 evidence.undecided[question.name] = text
         elif all(is_depolarised(per_light(raw)) for raw in answered):
+            evidence.note = (
+                "but it depolarises all light, so that nothing else was asked"
+            )
             text = "all matrices have the first element only: light leaves unpolarised"
             if (lobes.delta & ~lobes.null).any():
                 text += ", by discrete lobes too, where a smooth surface polarises it"

@@ -167,6 +167,8 @@ class Verdict:
         Statements that load the BSDF as ``bsdf``; None of an object.
     guess : Guess or None
         Of which `function` and `mistake` are the text.
+    note : str
+        What the headline adds if nothing fails.
     """
 
     # how a verdict shows itself in a notebook: its page sets it
@@ -180,6 +182,7 @@ class Verdict:
     maps: tuple[FourMaps, ...] = field(default=(), repr=False)
     source: str | None = field(default=None, repr=False)
     guess: Guess | None = field(default=None, repr=False)
+    note: str = ""
 
     @property
     def passed(self) -> bool:
@@ -242,6 +245,7 @@ class Verdict:
             rest = f", {undecided} could not be decided" if undecided else ""
             if any(p.effect == COST for p in self.properties):
                 rest += ", but it adds cost"
+            rest += self.note and f", {self.note}"
             return f"{self.name}: nothing wrong was found{rest}{self.near}"
         word = "passes, with a remark" if self.passed else "FAILS"
         # the mistake first: a summary shows the beginning only

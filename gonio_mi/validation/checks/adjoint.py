@@ -35,9 +35,9 @@ class Adjoint(Mistake):
     LACKS_ETA2 = "{who} lacks 1/eta^2 in radiance mode"
     ALIKE = """{who} is the same in both modes: 1/eta^2 is missing in radiance mode, or
         there in importance mode"""
-    FACTOR_OF_RADIANCE = """{who} of radiance mode is {factor:.4g} times what is due for
-        wi on the {side}"""
-    RATIO = "{who} of the modes has the ratio {ratio:.4g}, where 1 is due"
+    FACTOR_OF_RADIANCE = """{who} of radiance mode is {factor:.4g} times the expected
+        one for wi on the {side}"""
+    RATIO = "{who} of the modes has the ratio {ratio:.4g}, where 1 is expected"
     NOT_SWAPPED = """{who} of radiance mode is not that of importance mode with wi and
         wo swapped"""
     WEIGHT_LACKS_ETA2 = "{who} weight lacks 1/eta^2 in radiance mode"

@@ -124,8 +124,11 @@ def _check_types(evidence: Evidence, samples: Samples, each: Alone) -> None:
         # a sample may fail where a lobe is chosen that the mask excludes
         both = samples.smooth & (density > 0) & (of_component > 0)
         share = np.median(density[both] / of_component[both]) if both.any() else 1.0
+        value = probe.values(samples.wo)
+        if evidence.by_chance(value, each.eval[i], samples.wo):
+            value = each.eval[i]
         for function, wrong in (
-            (EVAL, unequal(probe.values(samples.wo), each.eval[i], 0.0)),
+            (EVAL, unequal(value, each.eval[i], 0.0)),
             (PDF, unequal(density, min(share, 1.0) * of_component, 0.0)),
             (SAMPLE, given & ((drawn & (lobes ^ own)) != 0)),
         ):
@@ -153,7 +156,8 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
     usable = samples.smooth & np.isfinite(total).all(axis=1) & np.isfinite(density)
     deaf = _deaf(samples, each, usable)
     wrong = unequal(total, samples.eval, samples.eval_slack) & usable
-    if beyond_rounding(wrong):
+    drawn = total[usable], samples.eval[usable], samples.wo[usable]
+    if beyond_rounding(wrong) and not evidence.by_chance(*drawn):
         whole = samples.eval[wrong].sum(axis=1)
         ratio = total[wrong].sum(axis=1) / np.maximum(whole, 1e-30)
         evidence.breach(

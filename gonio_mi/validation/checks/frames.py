@@ -29,8 +29,8 @@ class Frames(Mistake):
     OF_AZIMUTH = """{who} depends on the azimuth of an isotropic surface: its frames are
         turned wrongly"""
     IN_THE_WORLD = "{who} is another matrix where the surface is turned in the world"
-    BASES_OF_WORLD = """{who} takes Stokes bases of directions in the world, where those
-        of local directions are due"""
+    BASES_OF_WORLD = """{who} takes Stokes bases of directions in the world instead of
+        those of local directions"""
     JUMP = """{who} jumps{where}: its frames are turned by an angle whose sign or axis
         changes there, as that to an axis which is not perpendicular to the beam"""
     JUMP_OF_PLANE = """{who} jumps{where}: its elements depend on a plane of incidence,

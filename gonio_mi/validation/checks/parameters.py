@@ -174,7 +174,9 @@ def may_update_often(evidence: Evidence, plan: Effort) -> bool:
 
     Plugins in C++ may rebuild tables at each, which takes longer than all else.
     """
-    return type(evidence.bsdf) is not mi.BSDF or plan != Effort.named("quick")
+    plugin = getattr(evidence.bsdf, "phase_function", evidence.bsdf)
+    in_python = type(plugin) not in (mi.BSDF, mi.PhaseFunction)
+    return in_python or plan != Effort.named("quick")
 
 
 Answers = Callable[[], dict[str, Floats]]

@@ -33,7 +33,7 @@ class Reciprocity(Mistake):
     ONE_WAY = "{who} lets light go one way only"
     ASYMMETRIC = "{who} is not symmetric in wi and wo, in a Fresnel term perhaps"
     FACTOR = """{who} transmits {factor:.4g} times what it does the other way, where
-        eta^2 is due"""
+        eta^2 is expected"""
     IN_TRANSMISSION = """{who} is not symmetric in wi and wo, apart from eta^2, in
         transmission"""
     OF_A_LOBE = "{who} gives a discrete lobe another share than its reverse"

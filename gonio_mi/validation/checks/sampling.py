@@ -111,6 +111,8 @@ def check_sweep(evidence: Evidence, sweep: Sweep, key: tuple[int, ...]) -> None:
     asked = np.where(given[:, None], drawn, sweep.wi)
     pdf, lit = _densities(probe, asked, given)
     pdf_even, _ = _densities(probe, even, np.ones(n, dtype=bool))
+    if not (lit.any() or pdf_even.any()):
+        return
     u = 1 / (4 * np.pi if _transmits(evidence.bsdf) else 2 * np.pi)
     terms = [lit * u / (pdf + u), pdf_even / (pdf_even + u)]
     found: list[tuple[float, Flags]] = []
