@@ -95,7 +95,7 @@ def _ask(
     bsdf: mi.BSDF, values: Matrices, lobes: Lobes, random: Floats
 ) -> tuple[Floats, Floats, Integers]:
     """Values, and flux and types of samples, without polarisation."""
-    probe, n = Probe(bsdf, Condition(0.0, mode=values.mode)), len(random)
+    probe, n = Probe(bsdf, Condition(0.0, mode=values.asked.mode)), len(random)
     probe.uv = mi.Point2f(*map(floats, values.uv.T))
     value = probe.values(values.wo, values.wi)
     bs, weight = probe.sample(*random_numbers(random), wi=vectors(lobes.weights.wi))

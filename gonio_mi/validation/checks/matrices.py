@@ -103,7 +103,7 @@ def check_weights(
     if not beyond_rounding(wrong):
         return
     suspects: tuple[Function, ...] = (SAMPLE, EVAL)
-    if values.mode == "radiance":
+    if values.asked.mode == "radiance":
         # importance mode tells which answers of `eval` are due
         suspects = (EVAL,) if evidence.of("adjoint") else (SAMPLE,)
     worst = tuple(np.argwhere(wrong)[np.argmax(size[wrong])])
