@@ -171,12 +171,13 @@ def _wrong(
     params = mi.traverse(probe.bsdf)
 
     def answers(step: float) -> dict[Function, Floats]:
-        assign(params, line.at(step))
+        if step:  # updates may take long
+            assign(params, line.at(step))
         return {one: _columns(FUNCTIONS[one](probe, vectors(wo)), wo) for one in asked}
 
     along = dr.opaque(mi.Float, 0)
     dr.enable_grad(along)
-    with changed(probe.bsdf, line.at()):  # once there and back: updates may take long
+    with changed(probe.bsdf, line.at()):
         here = answers(0)
         pairs = [(answers(h * line.size), answers(-h * line.size)) for h in STEPS]
         assign(params, line.at(0, along))
