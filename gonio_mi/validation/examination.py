@@ -123,7 +123,7 @@ def validate(
     seed = checked_count("seed", seed, 0)
     alpha = checked_number("alpha", alpha, 1e-12, 1, "a probability in [1e-12, 1)")
     allow = (allow,) if isinstance(allow, str) else tuple(allow)
-    bsdf, name, source = _bsdf(specimen)
+    bsdf, name, source, tints = _bsdf(specimen)
     questions = _questions(bsdf, name, allow)
     polarised = questions is OF_MATRICES
     evidence = Evidence(bsdf, seed, questions)
@@ -154,6 +154,7 @@ def validate(
         "allow": list(allow),
         "strict": bool(strict),
         "variant": mi.variant(),
+        "tints": tints,
         "n_tests": len(evidence.tests),
         "n_samples": sum(m.totals.n for m in evidence.maps)
         + sum(one.n for one in evidence.samples)
@@ -198,16 +199,19 @@ def _questions(bsdf: mi.BSDF, name: str, allow: Sequence[str]) -> tuple[Question
     return questions
 
 
-def _bsdf(specimen: SpecimenLike) -> tuple[mi.BSDF, str, str | None]:
-    """BSDF of a specimen, its name, and a statement that loads it, or None."""
+def _bsdf(
+    specimen: SpecimenLike,
+) -> tuple[mi.BSDF, str, str | None, dict[str, list[float]]]:
+    """BSDF of a specimen, its name, a statement that loads it or None, and tints."""
     name: str | None
-    source = source_of(specimen)
+    source, tints = source_of(specimen), {}
     if isinstance(specimen, dict):
         name, grey = specimen_name(specimen), specimen
         specimen = loaded("the specimen", mi.load_dict, specimen)
         if isinstance(specimen, mi.BSDF):
-            specimen, grey = coloured(specimen, grey)
-            source = source_of(grey)
+            specimen, tinted = coloured(specimen, grey)
+            source = source_of(tinted)
+            tints = {k: x["value"] for k, x in tinted.items() if x is not grey.get(k)}
         elif isinstance(specimen, mi.PhaseFunction):
             source = source_of(grey, volumes=True)
     else:
@@ -228,7 +232,7 @@ def _bsdf(specimen: SpecimenLike) -> tuple[mi.BSDF, str, str | None]:
                 f"got {len(shapes)}"
             )
         specimen = shapes[0].bsdf()
-    return specimen, name or specimen.class_name(), source
+    return specimen, name or specimen.class_name(), source, tints
 
 
 def _examine(evidence: Evidence, plan: Effort, name: str, progress: bool) -> None:

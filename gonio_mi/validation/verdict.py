@@ -295,6 +295,11 @@ class Verdict:
             f"{s['alpha']:g}; {s['n_samples']:.3g} samples, seed {s['seed']}, "
             f"effort {s['effort']}, {s['variant']}"
         )
+        if failed and s["tints"]:
+            tints = (
+                f"{k} ({', '.join(f'{x:g}' for x in v)})" for k, v in s["tints"].items()
+            )
+            lines.append(f"grey parameters were given colours: {', '.join(tints)}")
         lines.append(self.headline)
         return "\n".join(lines)
 
@@ -306,14 +311,13 @@ class Verdict:
         dict
             ``name``, ``passed`` (whether the exit code is 0), ``undecided`` (why
             nothing is known, else empty), ``function`` and ``mistake`` (what is most
-            likely wrong), ``effect`` (the worst),
-            ``settings`` (effort, seed, alpha, allow, strict, variant, numbers of tests
-            and samples), and ``properties``: a list with ``name``, ``question``,
+            likely wrong), ``effect`` (the worst), ``settings`` (effort, seed, alpha,
+            allow, strict, variant, colours that grey parameters were given, numbers of
+            tests and samples), and ``properties``: a list with ``name``, ``question``,
             ``status``, ``statistic``, ``mistake``, ``function``, ``p_value``,
             ``effect``, ``share``, ``minor`` (whether that is known to be below 1e-4)
-            and ``places`` of each. The command adds ``others``,
-            the same of other variants, and ``skipped``, by variant why it was not
-            judged there.
+            and ``places`` of each. The command adds ``others``, the same of other
+            variants, and ``skipped``, by variant why it was not judged there.
         """
         return {
             "name": self.name,

@@ -247,6 +247,31 @@ def test_arguments(changes, error, text):
             validate(specimen, **arguments)
 
 
+class OfColour:
+    """Lambertian of a colour, `kept` of which `eval` has."""
+
+    kept = 1.0
+
+    def load(self, props):
+        self.reflectance = mi.Color3f(props.get("reflectance", 0.5))
+
+    def traverse(self, callback):
+        callback.put("reflectance", self.reflectance, mi.ParamFlags.Differentiable)
+
+    def eval(self, ctx, si, wo, active=True):
+        return self.kept * super().eval(ctx, si, wo, active)
+
+
+@pytest.mark.usefixtures("rgb")
+@pytest.mark.parametrize("kept", [1.0, 0.9])
+def test_colours_of_a_failure_are_told(kept):
+    """The twin is right, and nobody has to know."""
+    mi.register_bsdf("tinted", over(type("Own", (OfColour,), {"kept": kept}), plain()))
+    verdict = validate({"type": "tinted", "reflectance": 0.5}, effort="quick")
+    assert verdict.passed == (kept == 1), str(verdict)
+    assert ("given colours: reflectance (0.5, 0.4, 0.3)" in str(verdict)) == (kept < 1)
+
+
 @pytest.mark.usefixtures("rgb")
 def test_colours():
     specimen = {"type": "roughconductor", "alpha": 0.3, "distribution": "ggx"}
