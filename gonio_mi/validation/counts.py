@@ -166,7 +166,7 @@ def _outside(counted: _Counted) -> Guess | None:
     return Counts.OUTSIDE(SAMPLE, part=outside) if some else None
 
 
-def _beside(counted: _Counted) -> Guess | None:
+def _side_left_out(counted: _Counted) -> Guess | None:
     """Directions that never go to a side.
 
     ``eval`` is lit there: it is ``pdf`` only if no probability is left for that side.
@@ -184,7 +184,7 @@ def _beside(counted: _Counted) -> Guess | None:
     return Counts.SIDE_LEFT_OUT(SAMPLE, **where)
 
 
-def _lost(counted: _Counted) -> Guess | None:
+def _without_direction(counted: _Counted) -> Guess | None:
     """Samples without a direction, where ``pdf`` leaves none out."""
     missing = 1 - float(counted.drawn.sum())
     complete = abs(_mass_of_pdf(counted.maps) - 1) < MAX_LOST < missing
@@ -254,7 +254,7 @@ def _other_than_alone(counted: _Counted) -> Guess | None:
     return None
 
 
-def _otherwise(counted: _Counted) -> Guess:
+def _other_probability(counted: _Counted) -> Guess:
     """Directions that are drawn with another probability."""
     where = f"{_worst_patch(counted.maps)} ({counted.sums})"
     samples = counted.evidence.samples
@@ -316,7 +316,7 @@ def _turned(bsdf: mi.BSDF, maps: FourMaps) -> Guess | None:
     best = min(off, key=lambda name: off[name])
     if off[best] > 0.4 * min(misfit, off[""] / 4):
         return None
-    light = sum(one.values for one in maps.due.channels).reshape(shape)
+    light = np.sum([one.values for one in maps.due.channels], axis=0).reshape(shape)
     of_drawn, of_pdf = (
         np.abs(light / light.sum() - x / x.sum()).sum() for x in (drawn, due)
     )
@@ -420,8 +420,15 @@ def _distorted(counted: _Counted) -> Guess | None:
 # What is asked in turn of counts; the first that knows tells.
 OF_COUNTS = (
     lambda counted: as_turned(counted.evidence),
-    *(_outside, _beside, _distorted, _lost, _unnormalised, _of_right_weights),
-    *(_rejected, _of_component, _other_than_alone, _otherwise),
+    *(
+        _outside,
+        _side_left_out,
+        _distorted,
+        _without_direction,
+        _unnormalised,
+        _of_right_weights,
+    ),
+    *(_rejected, _of_component, _other_than_alone, _other_probability),
 )
 
 

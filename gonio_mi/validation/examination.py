@@ -57,6 +57,9 @@ OF_ANOTHER_SIDE = (
 # Polar angle of incidence, in degrees, from which on incidence is grazing.
 GRAZING = 60
 
+# Properties that maps of samples decide.
+STATISTICAL = ("sampling", "weights", "energy")
+
 # Steps of a progress bar, and the part of the samples one by one.
 N_STEPS = 100
 SAMPLES_STEPS = 0.4
@@ -147,19 +150,10 @@ def validate(
         guess = likely_mistake(evidence, failed, shares) if failed else None
         if failed and not (polarised or evidence.of_volumes):
             _add_maps_of_failure(evidence, plan)
-    settings = {
-        "effort": effort,
-        "seed": seed,
-        "alpha": alpha,
-        "allow": list(allow),
-        "strict": bool(strict),
-        "variant": mi.variant(),
-        "tints": tints,
-        "n_tests": len(evidence.tests),
-        "n_samples": sum(m.totals.n for m in evidence.maps)
-        + sum(one.n for one in evidence.samples)
-        + n_asked,
-    }
+    asked = [m.totals.n for m in evidence.maps] + [one.n for one in evidence.samples]
+    settings = {"effort": effort, "seed": seed, "alpha": alpha, "allow": list(allow)}
+    settings |= {"strict": bool(strict), "variant": mi.variant(), "tints": tints}
+    settings |= {"n_tests": len(evidence.tests), "n_samples": n_asked + sum(asked)}
     return Verdict(
         name,
         tuple(properties),
@@ -307,9 +301,9 @@ def _check_maps(
     other_mode = any(_depends_on_mode(evidence, one) for one in evidence.whole)
     if evidence.noisy:
         # means of samples were compared
-        for name in ("sampling", "weights", "energy"):
-            evidence.undecided[name] = "`eval` draws random numbers: it has no integral"
-            evidence.downgraded[name] = NOISE
+        text = "`eval` draws random numbers: it has no integral"
+        evidence.undecided |= dict.fromkeys(STATISTICAL, text)
+        evidence.downgraded |= dict.fromkeys(STATISTICAL, NOISE)
         return
     if other_mode:
         conditions += [replace(one, mode="radiance") for one in plan.radiance(sides)]
@@ -341,19 +335,17 @@ def _check_maps(
         dark = (b for b in evidence.of("flags") if b.kind is Kind.UNDECLARED_SIDE)
         text = "no light was scattered, so that nothing was compared"
         if other := next(dark, None):
-            text = OF_ANOTHER_SIDE.format(sides[0], other.condition.side)
-        for name in ("sampling", "weights", "energy"):
-            evidence.undecided[name] = text
+            text = OF_ANOTHER_SIDE.format(sides[0], other.guess.fields["side"])
+        evidence.undecided |= dict.fromkeys(STATISTICAL, text)
     if failed:
         text = (
             f"the integrals of {failed} of {len(conditions)} incident directions did "
             "not converge: it would take more effort, or a smoother lobe"
         )
-        for name in ("sampling", "weights", "energy"):
-            if failed == len(conditions):
-                evidence.undecided[name] = text
-            else:
-                evidence.remark(name, text)
+        if failed == len(conditions):
+            evidence.undecided |= dict.fromkeys(STATISTICAL, text)
+        for name in STATISTICAL:
+            evidence.remark(name, text)
 
 
 def _look_between(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> None:
@@ -422,8 +414,8 @@ def _depends_on_mode(evidence: Evidence, samples: Samples) -> bool:
 def _stop(evidence: Evidence, fault: PluginFault) -> None:
     """Record a fault of the plugin, after which nothing else can be judged."""
     evidence.breach_of_fault(evidence.questions[0], fault, size=10.0)
-    for question in evidence.questions:
-        evidence.undecided[question.name] = f"`{fault.function}` must answer first"
+    names, text = (q.name for q in evidence.questions), "must answer first"
+    evidence.undecided |= dict.fromkeys(names, f"`{fault.function}` {text}")
 
 
 # ------------------------------------------------------------------- the BSDF in colour
@@ -460,6 +452,6 @@ def _tints(bsdf: mi.BSDF) -> dict[str, Any]:
             continue
         value = np.ravel(value)
         if "." not in name and np.ptp(value) == 0 and 0 < value[0] <= 1:
-            tint = [float(value[0]) * share for share in TINT]
+            tint = [round(float(value[0]) * share, 6) for share in TINT]
             tints[name] = {"type": "rgb", "value": tint}
     return tints

@@ -234,8 +234,9 @@ class Matrices:
         side = "front" if wi[2] > 0 else "back"
         theta_i = theta if wi[2] > 0 else float(np.round(180 - theta, 1))
         spot = int(at[-1]) % N_SPOTS if self.asked.fields else 0
-        where = {"side": side, "uv": tuple(self.uv[at].tolist()), "spot": spot}
-        return replace(self.asked, theta_i=theta_i, phi_i=phi, turned=False, **where)
+        u, v = self.uv[at].tolist()
+        lit = replace(self.asked, theta_i=theta_i, phi_i=phi, side=side, turned=False)
+        return replace(lit, uv=(u, v), spot=spot)
 
     def by(self, size: Floats) -> Matrices:
         """The same, with how wrong each is."""
@@ -432,7 +433,7 @@ def other_mode(matrices: Matrices) -> Iterator[tuple[Reading, Floats]]:
     As :func:`readings`; the matrix is that of light which goes back the same way.
     """
     if matrices.asked.mode == "radiance":
-        there = replace(matrices, asked=replace(matrices.asked, mode="importance"))
-        there = there.in_plane()
+        asked = replace(matrices.asked, mode="importance")
+        there = replace(matrices, asked=asked).in_plane()
         back = EXCHANGE @ np.swapaxes(there, -1, -2) @ EXCHANGE
         yield Reading.OTHER_MODE, back

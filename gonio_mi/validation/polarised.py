@@ -145,9 +145,9 @@ class _Examination:
         )
         answered = (values.raw[smooth], lobes.weights.raw[lobes.given])
         if sum(map(len, answered)) == 0:
-            for question in evidence.questions[1:]:
-                text = "no light was scattered, so that nothing was compared"
-                evidence.undecided[question.name] = text
+            text = "no light was scattered, so that nothing was compared"
+            names = (question.name for question in evidence.questions[1:])
+            evidence.undecided |= dict.fromkeys(names, text)
         elif all(is_depolarised(per_light(raw)) for raw in answered):
             evidence.note = (
                 "but it depolarises all light, so that nothing else was asked"
@@ -165,7 +165,7 @@ class _Examination:
         if smooth.any():
             pairs = values.wi, values.wo, values.uv
             pdf = probe.pdf(*pairs)
-            matrices.check_weights(self.evidence, lobes, values, pdf, slack)
+            matrices.check_sampled(self.evidence, lobes, values, pdf, slack)
             joint = probe.eval_pdf(*pairs)
             matrices.check_eval_pdf(self.evidence, values, pdf, *joint, smooth)
 
@@ -252,7 +252,7 @@ class _Examination:
                 usable &= np.abs(matrices.wo - wo).max(-1) < SAME_DIRECTION
             same = np.asarray(usable.all(axis=1))
             turned_pairs = frames.Turned(matrices, slack, normal, nested)
-            frames.check_turned(self.evidence, turned_pairs.those(same))
+            frames.check_turned(self.evidence, turned_pairs.select(same))
 
     def _some(self, chosen: Flags) -> Integers:
         """Indices of a few samples of each type and side."""

@@ -180,7 +180,7 @@ class Samples:
         """Mask of directions on the lit side."""
         return self.wo[:, 2] * self.wi[:, 2] > 0
 
-    def those(self, mask: Flags) -> Samples:
+    def select(self, mask: Flags) -> Samples:
         """Samples of the mask, without answers of the joint functions."""
         kept = {
             name: value[mask]

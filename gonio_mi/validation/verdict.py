@@ -30,8 +30,8 @@ DECIDED_BY = {
 
 # Attributes of a property as they stand in JSON.
 REPORTED = (
-    *("name", "status", "statistic", "mistake", "function", "p_value", "effect"),
-    *("share", "minor"),
+    *("question", "name", "status", "statistic", "mistake", "function", "p_value"),
+    *("effect", "share", "minor", "places"),
 )
 
 # Integrators that ask a phase function.
@@ -198,12 +198,9 @@ class Verdict:
 
         Light that is merely too rare to judge adds noise, and leaves it decided.
         """
-        if self._failed:
-            return ""
-        for one in self.properties:
-            if one.needed and one.status == UNDECIDED and one.effect != NOISE:
-                return one.statistic
-        return ""
+        needed = (p for p in self.properties if p.needed and p.effect != NOISE)
+        why = (p.statistic for p in needed if p.status == UNDECIDED)
+        return "" if self._failed else next(why, "")
 
     @property
     def _failed(self) -> bool:
@@ -276,10 +273,7 @@ class Verdict:
         return Verdict.viewer(self)
 
     def __getitem__(self, name: str) -> Property:
-        for one in self.properties:
-            if one.name == name:
-                return one
-        raise KeyError(name)
+        return {one.name: one for one in self.properties}[name]
 
     def __str__(self) -> str:
         failed = self.failures
@@ -290,16 +284,14 @@ class Verdict:
             lines.append(f"{UNDECIDED:<10}all else: {rest[0].statistic}")
         s = self.settings
         lines.append("")
+        if failed and s["tints"]:
+            tints = ", ".join(f"{name} {tint}" for name, tint in s["tints"].items())
+            lines.append(f"grey parameters were given colours: {tints}")
         lines.append(
             f"{s['n_tests']} statistical tests share a false-alarm probability of "
             f"{s['alpha']:g}; {s['n_samples']:.3g} samples, seed {s['seed']}, "
             f"effort {s['effort']}, {s['variant']}"
         )
-        if failed and s["tints"]:
-            tints = (
-                f"{k} ({', '.join(f'{x:g}' for x in v)})" for k, v in s["tints"].items()
-            )
-            lines.append(f"grey parameters were given colours: {', '.join(tints)}")
         lines.append(self.headline)
         return "\n".join(lines)
 
@@ -327,12 +319,7 @@ class Verdict:
             "mistake": self.mistake,
             "effect": self.failures[0].effect if self.failures else None,
             "properties": [
-                {
-                    "question": p.question,
-                    **{key: getattr(p, key) for key in REPORTED},
-                    "places": list(p.places),
-                }
-                for p in self.properties
+                {key: getattr(p, key) for key in REPORTED} for p in self.properties
             ],
             "settings": dict(self.settings),
         }
@@ -363,8 +350,7 @@ def properties_of(
         if evidence.of_volumes:
             reached = VOLUMETRIC if one.effect in (BIAS, BREAKS) else ""
         one = replace(one, question=str(question.text), needed=question.needed)
-        fixed = replace(one, of_volumes=evidence.of_volumes, integrators=reached)
-        found.append(fixed)
+        found.append(replace(one, of_volumes=evidence.of_volumes, integrators=reached))
     return found
 
 

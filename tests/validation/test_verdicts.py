@@ -269,7 +269,7 @@ def test_colours_of_a_failure_are_told(kept):
     mi.register_bsdf("tinted", over(type("Own", (OfColour,), {"kept": kept}), plain()))
     verdict = validate({"type": "tinted", "reflectance": 0.5}, effort="quick")
     assert verdict.passed == (kept == 1), str(verdict)
-    assert ("given colours: reflectance (0.5, 0.4, 0.3)" in str(verdict)) == (kept < 1)
+    assert ("given colours: reflectance [0.5, 0.4, 0.3]" in str(verdict)) == (kept < 1)
 
 
 @pytest.mark.usefixtures("rgb")

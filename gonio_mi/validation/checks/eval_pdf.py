@@ -73,17 +73,12 @@ def check_lattice(evidence: Evidence, probe: Probe) -> None:
         chance = alone == "eval" and evidence.by_chance(joint, due, wo)
         if beyond_rounding(wrong) and not chance:
             light = float(4 * np.pi * off.sum(axis=1)[wrong].sum() / n)
-            evidence.breach(
-                EVAL_PDF,
-                JointFunctions.OTHER_ANSWERS(Function.EVAL_PDF, alone=alone),
-                probe.condition,
-                found=f"integral of the difference {light:.3g} over "
-                f"{wrong.mean():.3g} of all directions",
-                size=float(wrong.mean()),
-                off=min(light, 1.0),
-                kind=Kind.EVAL_PDF_ANYWHERE,
-                about=alone,
-            )
+            share, kind = float(wrong.mean()), Kind.EVAL_PDF_ANYWHERE
+            guess = JointFunctions.OTHER_ANSWERS(Function.EVAL_PDF, alone=alone)
+            text = f"{light:.3g} over {share:.3g} of all directions"
+            how = {"off": min(light, 1.0), "size": share, "kind": kind, "about": alone}
+            text = f"integral of the difference {text}"
+            evidence.breach(EVAL_PDF, guess, probe.condition, found=text, **how)
 
 
 def _check_joint(
@@ -97,16 +92,14 @@ def _check_joint(
         ("eval", value, samples.eval, samples.eval_slack),
         ("pdf", pdf[:, None], samples.pdf[:, None], samples.pdf_slack[:, None]),
     ):
-        function = Function.named(question.name)
         if alone == "eval" and evidence.by_chance(joint, due, samples.wo):
             continue
+        function = Function.named(question.name)
         evidence.breach_of_ratio(
             question,
             JointFunctions.OTHER_ANSWERS(function, alone=alone),
-            samples,
-            unequal(joint, due, slack) & usable,
-            ratio_of(joint, due),
-            f"its value over `{alone}`",
+            *(samples, unequal(joint, due, slack) & usable),
+            *(ratio_of(joint, due), f"its value over `{alone}`"),
             effect=effect,
             about=alone,
         )

@@ -129,14 +129,14 @@ def check_ways(evidence: Evidence, ways: BothWays) -> None:
     wrong = unequal(ways.forward, due, slack) & ways.smooth
     if beyond_rounding(wrong):
         text = ratio_text(ways.forward, due, wrong, samples)
-        if np.all(_declared(evidence.bsdf, ways)[wrong]):
+        if np.all(_declared_asymmetric(evidence.bsdf, ways)[wrong]):
             evidence.declared["reciprocity"] = f"{text}, declared as NonSymmetric"
         else:
             how = {"statistic": text, "off": None}
             evidence.breach(RECIPROCITY, _guess(ways, wrong), samples, wrong, **how)
 
 
-def _declared(bsdf: mi.BSDF, ways: BothWays) -> Flags:
+def _declared_asymmetric(bsdf: mi.BSDF, ways: BothWays) -> Flags:
     """Mask of samples on whose side a NonSymmetric component explains asymmetry.
 
     In transmission with another eta than 1 the flag stands for eta^2 alone.
