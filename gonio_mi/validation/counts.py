@@ -77,13 +77,13 @@ MAX_LOST = 1e-3
 # `sample` at most the rest are where `pdf` is not 0.
 MIN_DIRECTED = 0.9
 
-# What may be wrong with half vectors, and the factors of their x and y.
+# What may be wrong with half vectors, and by which matrix their x and y get right.
 CHANGES_OF_HALF_VECTORS = {
-    "": (1, 1),  # of which some are rejected
-    "with x and y swapped": (1, 1),
-    "whose x has a wrong sign": (-1, 1),
-    "whose y has a wrong sign": (1, -1),
-    "turned by 180 degrees": (-1, -1),
+    "": ((1, 0), (0, 1)),  # of which some are rejected
+    "with x and y swapped": ((0, 1), (1, 0)),
+    "whose x has a wrong sign": ((-1, 0), (0, 1)),
+    "whose y has a wrong sign": ((1, 0), (0, -1)),
+    "turned by 180 degrees": ((-1, 0), (0, -1)),
 }
 
 # Maps that must agree on a factor, those that are most off.
@@ -332,18 +332,16 @@ def _half_vectors_changed(
     probe = Probe(bsdf, maps.condition)
     bs, _ = probe.sample(*uniform(N_REDRAWN, (0, 75)))
     wi, wo = maps.condition.wi, spectral(bs.wo, N_REDRAWN)
-    half = wo[np.abs(np.linalg.norm(wo, axis=1) - 1) < BSDF_ROUNDING] + wi
+    given = np.abs(np.linalg.norm(wo, axis=1) - 1) < BSDF_ROUNDING
+    half = np.where(given[:, None], wo, wi) + wi
     half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
     for how, change in CHANGES_OF_HALF_VECTORS.items():
-        h = (
-            half
-            @ np.diag([*change, 1])[:, [1, 0, 2] if "swapped" in how else [0, 1, 2]]
-        )
+        h = np.column_stack([half[:, :2] @ change, half[:, 2]])
         reflected = 2 * (h @ wi)[:, None] * h - wi
-        some = reflected[probe.densities(reflected) > 0]
-        index = patch_of(maps.subdivision, maps.condition, vectors(some))
-        counts = np.bincount(numbers(index, len(some)), minlength=len(maps.pdf) + 1)
-        yield how, counts[: len(maps.pdf)] / N_REDRAWN
+        index = patch_of(maps.subdivision, maps.condition, vectors(reflected))
+        lit = given & (probe.densities(reflected) > 0)
+        counts = np.bincount(numbers(index, len(lit)), lit, len(maps.pdf))
+        yield how, counts / len(lit)
 
 
 def _is_proportional(maps: FourMaps) -> bool:
