@@ -350,8 +350,7 @@ def _after_one_change(
 
 def _least_p(found: Evidence) -> float:
     """Probability that chance makes the worst of all tests as bad as it is."""
-    tests = found.tests
-    return min(1.0, len(tests) * min((test.p for test in tests), default=1.0))
+    return min([1.0, *(len(found.tests) * test.p for test in found.tests)])
 
 
 def _biases(found: Evidence) -> bool:
