@@ -227,13 +227,10 @@ class Sweep(Condition):
 
 def sides_of(bsdf: mi.BSDF) -> tuple[str, ...]:
     """Sides that the flags of a BSDF declare, the front first."""
-    declared, kinds = int(bsdf.flags()), mi.BSDFFlags
-    if declared & int(kinds.Transmission):
-        return ("front", "back")
-    front, back = declared & int(kinds.FrontSide), declared & int(kinds.BackSide)
-    if back:
-        return ("front", "back") if front else ("back",)
-    return ("front",)
+    flags, both = int(bsdf.flags()), int(mi.BSDFFlags.Transmission)
+    faces = {"front": mi.BSDFFlags.FrontSide, "back": mi.BSDFFlags.BackSide}
+    found = (side for side, own in faces.items() if flags & (int(own) | both))
+    return tuple(found) or ("front",)
 
 
 # Of a sweep: its largest polar angle and the step of its azimuths in degrees, and the

@@ -5,8 +5,8 @@ A factor of `DISTORTIONS` may tell which of ``sample`` and ``pdf`` it is.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import product
 
 import mitsuba as mi
@@ -20,8 +20,8 @@ from .evidence import Evidence
 from .factors import FACTORS, factor
 from .maps import FourMaps
 from .mistakes import PDF, SAMPLE, Function, Guess, Mistake
-from .probe import numbers, vectors
-from .samples import Samples, beyond_rounding, samples_of
+from .probe import Probe, numbers, spectral, uniform, vectors
+from .samples import MAX_SCORE, Samples, beyond_rounding, moments, samples_of
 from .tally import groups, patch_of
 
 
@@ -29,6 +29,7 @@ class Counts(Mistake):
     """What is wrong with directions, or with their density."""
 
     TURNED = "{who} draws directions {how}"
+    DENSITY_OF_TURNED = "{who} is that of directions {how}"
     ABOUT_Z = "{who} draws directions about z, not about wi"
     OUTSIDE = "{who} draws {part:.3g} of its directions where `pdf` is 0"
     NEVER_ON_A_SIDE = """{who} integrates to {mass:.3g} on a side where `sample` never
@@ -42,6 +43,10 @@ class Counts(Mistake):
     MASS = "{sums}"
     NOT_OF_SAMPLE = """{who} is not the density of `sample`, whose weights are right
         ({sums})"""
+    OTHER_LOBE = """{who} draws another lobe for component {component} alone than in the
+        whole: it takes one lobe for the other"""
+    OTHER_THAN_ALONE = """{who} draws other directions of component {component} in the
+        whole than alone, as where the number that picks a lobe is used again"""
     OTHER_PROBABILITY = """{who}: directions are drawn with another probability than
         `pdf` says: {where}"""
     FACTOR_OF_PDF = "{who} {of_pdf} ({sums})"
@@ -71,6 +76,15 @@ MAX_LOST = 1e-3
 # Fraction of the lost samples that must have a direction for these to tell: of a right
 # `sample` at most the rest are where `pdf` is not 0.
 MIN_DIRECTED = 0.9
+
+# What may be wrong with half vectors, and by which matrix their x and y get right.
+CHANGES_OF_HALF_VECTORS = {
+    "": ((1, 0), (0, 1)),  # of which some are rejected
+    "with x and y swapped": ((0, 1), (1, 0)),
+    "whose x has a wrong sign": ((-1, 0), (0, 1)),
+    "whose y has a wrong sign": ((1, 0), (0, -1)),
+    "turned by 180 degrees": ((-1, 0), (0, -1)),
+}
 
 # Maps that must agree on a factor, those that are most off.
 MAX_MAPS = 3
@@ -130,10 +144,10 @@ def guess_of_counts(evidence: Evidence, weights_fail: bool) -> Guess | None:
 
 def as_turned(evidence: Evidence) -> Guess | None:
     """Directions that are turned or mirrored."""
-    how = next(filter(None, map(_turned, evidence.maps)), "")
-    if how and evidence.of_volumes and _stays(evidence):
+    guess = next(filter(None, (_turned(evidence.bsdf, m) for m in evidence.maps)), None)
+    if guess and evidence.of_volumes and _stays(evidence):
         return Counts.ABOUT_Z(SAMPLE)
-    return Counts.TURNED(SAMPLE, how=how) if how else None
+    return guess
 
 
 def _stays(evidence: Evidence) -> bool:
@@ -152,7 +166,7 @@ def _outside(counted: _Counted) -> Guess | None:
     return Counts.OUTSIDE(SAMPLE, part=outside) if some else None
 
 
-def _beside(counted: _Counted) -> Guess | None:
+def _side_left_out(counted: _Counted) -> Guess | None:
     """Directions that never go to a side.
 
     ``eval`` is lit there: it is ``pdf`` only if no probability is left for that side.
@@ -170,7 +184,7 @@ def _beside(counted: _Counted) -> Guess | None:
     return Counts.SIDE_LEFT_OUT(SAMPLE, **where)
 
 
-def _lost(counted: _Counted) -> Guess | None:
+def _without_direction(counted: _Counted) -> Guess | None:
     """Samples without a direction, where ``pdf`` leaves none out."""
     missing = 1 - float(counted.drawn.sum())
     complete = abs(_mass_of_pdf(counted.maps) - 1) < MAX_LOST < missing
@@ -216,7 +230,31 @@ def _of_component(counted: _Counted) -> Guess | None:
     return next(filter(None, (guess(one) for guess in OF_COUNTS)))
 
 
-def _otherwise(counted: _Counted) -> Guess:
+def _other_than_alone(counted: _Counted) -> Guess | None:
+    """Directions of a component that are others than if it is asked alone."""
+    bsdf, condition = counted.evidence.bsdf, counted.maps.condition
+    whole, *each = (
+        samples_of(bsdf, replace(condition, component=i), N_REDRAWN, (0, 76), False)
+        for i in (None, *range(bsdf.component_count()))
+    )
+    for i, one in enumerate(each):
+        here, there = whole.smooth & (whole.component == i), one.smooth
+        if min(here.sum(), there.sum()) < MIN_HITS:
+            continue
+        if not {*whole.type[here].tolist()} & {*one.type[there].tolist()}:
+            return Counts.OTHER_LOBE(SAMPLE, component=i)
+        means = zip(moments(whole.wo[here]), moments(one.wo[there]))
+        apart = (
+            abs(a.mean() - b.mean())
+            / np.sqrt(a.var() / len(a) + b.var() / len(b) + 1e-30)
+            for a, b in means
+        )
+        if (one.component[there] == i).all() and max(apart) > MAX_SCORE:
+            return Counts.OTHER_THAN_ALONE(SAMPLE, component=i)
+    return None
+
+
+def _other_probability(counted: _Counted) -> Guess:
     """Directions that are drawn with another probability."""
     where = f"{_worst_patch(counted.maps)} ({counted.sums})"
     samples = counted.evidence.samples
@@ -243,15 +281,18 @@ def _mass_of_pdf(maps: FourMaps) -> float:
     return float(maps.pdf.sum() + maps.due.unused.values.sum())
 
 
-def _turned(maps: FourMaps) -> str:
-    """How the counted map is turned or mirrored against the density; empty if not."""
+def _turned(bsdf: mi.BSDF, maps: FourMaps) -> Guess | None:
+    """How the counted map is turned or mirrored against the density; None if not.
+
+    Light tells which of both is right.
+    """
     shape, n = (2, *maps.subdivision.shape), maps.subdivision.n_phi
     drawn = (maps.totals.counts / maps.totals.n).reshape(shape)
     due = maps.pdf.reshape(shape)
     misfit = np.abs(drawn - due).sum()
     # where chance explains it, there is nothing to turn
-    if misfit < 4 * np.sqrt(drawn.size / maps.totals.n):
-        return ""
+    if misfit < 4 * np.sqrt(drawn.size / maps.totals.n) or not due.any():
+        return None
     sectors = np.arange(n)
     sector_of = {
         "mirrored in phi: a sign is wrong": -1 - sectors,
@@ -263,12 +304,44 @@ def _turned(maps: FourMaps) -> str:
     }
     changes = {
         "in the wrong hemisphere": due[::-1],
-        "opposite to those of `pdf`: a sign is wrong": np.roll(due[::-1], n // 2, 2),
+        "opposite to the right ones: a sign is wrong": np.roll(due[::-1], n // 2, 2),
     }
     changes |= {name: due[:, :, own % n] for name, own in sector_of.items()}
     off = {name: np.abs(drawn - other).sum() for name, other in changes.items()}
+    off |= {
+        # all of one lobe
+        how and f"of half vectors {how}": 4 * np.abs(counts - maps.pdf).sum()
+        for how, counts in _half_vectors_changed(bsdf, maps)
+    }
     best = min(off, key=lambda name: off[name])
-    return best if off[best] < 0.4 * misfit else ""
+    if off[best] > 0.4 * min(misfit, off[""] / 4):
+        return None
+    light = np.sum([one.values for one in maps.due.channels], axis=0).reshape(shape)
+    of_drawn, of_pdf = (
+        np.abs(light / light.sum() - x / x.sum()).sum() for x in (drawn, due)
+    )
+    if of_drawn < of_pdf / 2:
+        return Counts.DENSITY_OF_TURNED(PDF, how=best)
+    return Counts.TURNED(SAMPLE, how=best)
+
+
+def _half_vectors_changed(
+    bsdf: mi.BSDF, maps: FourMaps
+) -> Iterator[tuple[str, Floats]]:
+    """Changes of half vectors, with shares of the reflected directions by patch."""
+    probe = Probe(bsdf, maps.condition)
+    bs, _ = probe.sample(*uniform(N_REDRAWN, (0, 75)))
+    wi, wo = maps.condition.wi, spectral(bs.wo, N_REDRAWN)
+    given = np.abs(np.linalg.norm(wo, axis=1) - 1) < BSDF_ROUNDING
+    half = np.where(given[:, None], wo, wi) + wi
+    half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
+    for how, change in CHANGES_OF_HALF_VECTORS.items():
+        h = np.column_stack([half[:, :2] @ change, half[:, 2]])
+        reflected = 2 * (h @ wi)[:, None] * h - wi
+        index = patch_of(maps.subdivision, maps.condition, vectors(reflected))
+        lit = given & (probe.densities(reflected) > 0)
+        counts = np.bincount(numbers(index, len(lit)), lit, len(maps.pdf))
+        yield how, counts / len(lit)
 
 
 def _is_proportional(maps: FourMaps) -> bool:
@@ -345,8 +418,15 @@ def _distorted(counted: _Counted) -> Guess | None:
 # What is asked in turn of counts; the first that knows tells.
 OF_COUNTS = (
     lambda counted: as_turned(counted.evidence),
-    *(_outside, _beside, _distorted, _lost, _unnormalised),
-    *(_of_right_weights, _rejected, _of_component, _otherwise),
+    *(
+        _outside,
+        _side_left_out,
+        _distorted,
+        _without_direction,
+        _unnormalised,
+        _of_right_weights,
+    ),
+    *(_rejected, _of_component, _other_than_alone, _other_probability),
 )
 
 

@@ -100,7 +100,7 @@ def _noise(evidence: Evidence, failed: Mapping[str, str]) -> Guess | None:
     return noisy[0].guess
 
 
-def _dark(evidence: Evidence, failed: Mapping[str, str]) -> Guess | None:
+def _zero_where_lit(evidence: Evidence, failed: Mapping[str, str]) -> Guess | None:
     """One of them is 0 where another is not, unless directions are elsewhere."""
     if "weights" not in failed:
         return None
@@ -110,7 +110,9 @@ def _dark(evidence: Evidence, failed: Mapping[str, str]) -> Guess | None:
     return guess
 
 
-def _unused(evidence: Evidence, failed: Mapping[str, str]) -> Guess | None:
+def _density_without_light(
+    evidence: Evidence, failed: Mapping[str, str]
+) -> Guess | None:
     """A density where no light is."""
     harmless = failed.get("sampling") == INTERFACE
     return evidence.guess("sampling") if harmless else None
@@ -164,7 +166,7 @@ def _counts(evidence: Evidence, failed: Mapping[str, str]) -> Guess:
     return guess_of_counts(evidence, by_pdf or "weights" in failed) or ANY
 
 
-def _lobes(evidence: Evidence, _: Mapping[str, str]) -> Guess | None:
+def _wrong_mixture(evidence: Evidence, _: Mapping[str, str]) -> Guess | None:
     """How ``pdf`` combines its components wrongly; None if it is their mixture."""
     samples = evidence.whole[0]
     if evidence.bsdf.component_count() < 2 or not samples.smooth.any():
@@ -185,4 +187,12 @@ def _lobes(evidence: Evidence, _: Mapping[str, str]) -> Guess | None:
 
 
 # What is asked in turn; the first that knows tells.
-ODD = (_noise, _dark, _unused, _without_counts, _lobes, _density, _counts)
+ODD = (
+    _noise,
+    _zero_where_lit,
+    _density_without_light,
+    _without_counts,
+    _wrong_mixture,
+    _density,
+    _counts,
+)

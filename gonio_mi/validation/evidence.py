@@ -244,6 +244,8 @@ class Evidence:
         Of many incident directions, one for each sample.
     in_radiance_mode : list of Samples
         Of conditions under which it is not importance mode over eta^2.
+    note : str
+        What a verdict adds to its headline if nothing fails.
     """
 
     bsdf: mi.BSDF = None
@@ -259,6 +261,7 @@ class Evidence:
     samples: list[Samples] = field(default_factory=list)
     sweeps: list[Samples] = field(default_factory=list)
     in_radiance_mode: list[Samples] = field(default_factory=list)
+    note: str = ""
 
     @property
     def of_volumes(self) -> bool:
@@ -286,6 +289,10 @@ class Evidence:
         return bool(many) and not means_differ(
             first.eval[usable], again[usable], first.wo[usable]
         )
+
+    def by_chance(self, a: Floats, b: Floats, wo: Floats) -> bool:
+        """Whether answers of ``eval`` differ because it draws numbers of its own."""
+        return self.noisy and not means_differ(a, b, wo)
 
     @property
     def whole(self) -> list[Samples]:

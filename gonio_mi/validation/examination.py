@@ -38,6 +38,7 @@ from .conditions import Condition, Effort, sides_of
 from .cosines import explain_reciprocity
 from .diagnosis import likely_mistake
 from .evidence import BIAS, MAX_P, NOISE, Evidence, Question
+from .kinds import Kind
 from .maps import four_maps, in_radiance_mode
 from .phase_functions import as_bsdf, examine_phase_function
 from .polarised import examine_polarised
@@ -47,8 +48,17 @@ from .reproducers import source_of
 from .samples import Samples, samples_of, unequal
 from .verdict import FAILS, Property, Verdict, properties_of
 
+# Of a plugin that scatters nothing from the side that it declares.
+OF_ANOTHER_SIDE = (
+    "all light met the {0} of the surface, the only side that `flags` declares, which "
+    "scatters none; light from the {1} is scattered: a sign of wi.z or `flags` is wrong"
+)
+
 # Polar angle of incidence, in degrees, from which on incidence is grazing.
 GRAZING = 60
+
+# Properties that maps of samples decide.
+STATISTICAL = ("sampling", "weights", "energy")
 
 # Steps of a progress bar, and the part of the samples one by one.
 N_STEPS = 100
@@ -116,7 +126,7 @@ def validate(
     seed = checked_count("seed", seed, 0)
     alpha = checked_number("alpha", alpha, 1e-12, 1, "a probability in [1e-12, 1)")
     allow = (allow,) if isinstance(allow, str) else tuple(allow)
-    bsdf, name, source = _bsdf(specimen)
+    bsdf, name, source, tints = _bsdf(specimen)
     questions = _questions(bsdf, name, allow)
     polarised = questions is OF_MATRICES
     evidence = Evidence(bsdf, seed, questions)
@@ -140,18 +150,10 @@ def validate(
         guess = likely_mistake(evidence, failed, shares) if failed else None
         if failed and not (polarised or evidence.of_volumes):
             _add_maps_of_failure(evidence, plan)
-    settings = {
-        "effort": effort,
-        "seed": seed,
-        "alpha": alpha,
-        "allow": list(allow),
-        "strict": bool(strict),
-        "variant": mi.variant(),
-        "n_tests": len(evidence.tests),
-        "n_samples": sum(m.totals.n for m in evidence.maps)
-        + sum(one.n for one in evidence.samples)
-        + n_asked,
-    }
+    asked = [m.totals.n for m in evidence.maps] + [one.n for one in evidence.samples]
+    settings = {"effort": effort, "seed": seed, "alpha": alpha, "allow": list(allow)}
+    settings |= {"strict": bool(strict), "variant": mi.variant(), "tints": tints}
+    settings |= {"n_tests": len(evidence.tests), "n_samples": n_asked + sum(asked)}
     return Verdict(
         name,
         tuple(properties),
@@ -161,6 +163,7 @@ def validate(
         tuple(evidence.maps),
         source,
         guess,
+        evidence.note,
     )
 
 
@@ -190,16 +193,19 @@ def _questions(bsdf: mi.BSDF, name: str, allow: Sequence[str]) -> tuple[Question
     return questions
 
 
-def _bsdf(specimen: SpecimenLike) -> tuple[mi.BSDF, str, str | None]:
-    """BSDF of a specimen, its name, and a statement that loads it, or None."""
+def _bsdf(
+    specimen: SpecimenLike,
+) -> tuple[mi.BSDF, str, str | None, dict[str, list[float]]]:
+    """BSDF of a specimen, its name, a statement that loads it or None, and tints."""
     name: str | None
-    source = source_of(specimen)
+    source, tints = source_of(specimen), {}
     if isinstance(specimen, dict):
         name, grey = specimen_name(specimen), specimen
         specimen = loaded("the specimen", mi.load_dict, specimen)
         if isinstance(specimen, mi.BSDF):
-            specimen, grey = coloured(specimen, grey)
-            source = source_of(grey)
+            specimen, tinted = coloured(specimen, grey)
+            source = source_of(tinted)
+            tints = {k: x["value"] for k, x in tinted.items() if x is not grey.get(k)}
         elif isinstance(specimen, mi.PhaseFunction):
             source = source_of(grey, volumes=True)
     else:
@@ -220,7 +226,7 @@ def _bsdf(specimen: SpecimenLike) -> tuple[mi.BSDF, str, str | None]:
                 f"got {len(shapes)}"
             )
         specimen = shapes[0].bsdf()
-    return specimen, name or specimen.class_name(), source
+    return specimen, name or specimen.class_name(), source, tints
 
 
 def _examine(evidence: Evidence, plan: Effort, name: str, progress: bool) -> None:
@@ -295,9 +301,9 @@ def _check_maps(
     other_mode = any(_depends_on_mode(evidence, one) for one in evidence.whole)
     if evidence.noisy:
         # means of samples were compared
-        for name in ("sampling", "weights", "energy"):
-            evidence.undecided[name] = "`eval` draws random numbers: it has no integral"
-            evidence.downgraded[name] = NOISE
+        text = "`eval` draws random numbers: it has no integral"
+        evidence.undecided |= dict.fromkeys(STATISTICAL, text)
+        evidence.downgraded |= dict.fromkeys(STATISTICAL, NOISE)
         return
     if other_mode:
         conditions += [replace(one, mode="radiance") for one in plan.radiance(sides)]
@@ -326,18 +332,20 @@ def _check_maps(
     lit = any(samples.given.any() for samples in evidence.samples)
     lit = lit or any(m.smooth_flux.any() for m in evidence.maps)
     if not (lit or failed):
-        for name in ("sampling", "weights", "energy"):
-            evidence.undecided[name] = "nothing was lit, so that nothing was compared"
+        dark = (b for b in evidence.of("flags") if b.kind is Kind.UNDECLARED_SIDE)
+        text = "no light was scattered, so that nothing was compared"
+        if other := next(dark, None):
+            text = OF_ANOTHER_SIDE.format(sides[0], other.guess.fields["side"])
+        evidence.undecided |= dict.fromkeys(STATISTICAL, text)
     if failed:
         text = (
             f"the integrals of {failed} of {len(conditions)} incident directions did "
             "not converge: it would take more effort, or a smoother lobe"
         )
-        for name in ("sampling", "weights", "energy"):
-            if failed == len(conditions):
-                evidence.undecided[name] = text
-            else:
-                evidence.remark(name, text)
+        if failed == len(conditions):
+            evidence.undecided |= dict.fromkeys(STATISTICAL, text)
+        for name in STATISTICAL:
+            evidence.remark(name, text)
 
 
 def _look_between(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> None:
@@ -406,8 +414,8 @@ def _depends_on_mode(evidence: Evidence, samples: Samples) -> bool:
 def _stop(evidence: Evidence, fault: PluginFault) -> None:
     """Record a fault of the plugin, after which nothing else can be judged."""
     evidence.breach_of_fault(evidence.questions[0], fault, size=10.0)
-    for question in evidence.questions:
-        evidence.undecided[question.name] = f"`{fault.function}` must answer first"
+    names, text = (q.name for q in evidence.questions), "must answer first"
+    evidence.undecided |= dict.fromkeys(names, f"`{fault.function}` {text}")
 
 
 # ------------------------------------------------------------------- the BSDF in colour
@@ -444,6 +452,6 @@ def _tints(bsdf: mi.BSDF) -> dict[str, Any]:
             continue
         value = np.ravel(value)
         if "." not in name and np.ptp(value) == 0 and 0 < value[0] <= 1:
-            tint = [float(value[0]) * share for share in TINT]
+            tint = [round(float(value[0]) * share, 6) for share in TINT]
             tints[name] = {"type": "rgb", "value": tint}
     return tints

@@ -114,7 +114,10 @@ class Expected:
 
 
 def integrals(
-    probe: Probe, subdivision: RingsAndSectors, totals: PatchTotals, limits: Floats
+    probe: Probe,
+    subdivision: RingsAndSectors,
+    totals: PatchTotals,
+    weight_limits: Floats,
 ) -> Expected:
     """Integrals of ``pdf``, damped weights, and of each channel of ``eval``.
 
@@ -124,7 +127,7 @@ def integrals(
     subdivision : RingsAndSectors
     totals : PatchTotals
         Samples that are to be compared with them.
-    limits : ndarray
+    weight_limits : ndarray
         Of weights by patch, as of :class:`Damping`.
 
     Returns
@@ -137,16 +140,19 @@ def integrals(
         If they do not converge.
     """
     # a number that single precision can multiply
-    limits = np.minimum(limits[: 2 * subdivision.n_patches], MAX_WEIGHT)
-    found = _lattice(probe, subdivision, totals, limits)
-    return found or _adaptive(probe, subdivision, totals, limits)
+    weight_limits = np.minimum(weight_limits[: 2 * subdivision.n_patches], MAX_WEIGHT)
+    found = _lattice(probe, subdivision, totals, weight_limits)
+    return found or _adaptive(probe, subdivision, totals, weight_limits)
 
 
 # --------------------------------------------------------------------------- lattices
 
 
 def _lattice(
-    probe: Probe, subdivision: RingsAndSectors, totals: PatchTotals, limits: Floats
+    probe: Probe,
+    subdivision: RingsAndSectors,
+    totals: PatchTotals,
+    weight_limits: Floats,
 ) -> Expected | None:
     """Integrals by shifted lattices; None if they would need too many points."""
     m = 2 * subdivision.n_patches
@@ -160,14 +166,16 @@ def _lattice(
         left -= len(refined) * SHIFTS * n_points
         if left < 0:
             break
-        values = _lattice_values(probe, subdivision, limits, refined, level)
+        values = _lattice_values(probe, subdivision, weight_limits, refined, level)
         if means is None:
             means = np.zeros((m, SHIFTS, values.shape[-1]))
         means[refined] = values.mean(axis=2) * area[refined]
         density = values[..., 0] + values[..., 5]
         largest[refined] = density.max(axis=(1, 2))
         least = min(least, density.min(initial=np.inf, where=density > 0))
-        rough = _rough(means, totals, limits) | (totals.peaks > MISSED_PEAK * largest)
+        rough = _rough(means, totals, weight_limits) | (
+            totals.peaks > MISSED_PEAK * largest
+        )
         further = np.flatnonzero(rough | _rough_in_sum(means))
         stopped.append(np.setdiff1d(refined, further))
         refined = further
@@ -179,20 +187,22 @@ def _lattice(
     # is not refined: patches that were stopped before others take other shifts.
     for level, patches in enumerate(stopped[:-1]):
         if patches.size:
-            values = _lattice_values(probe, subdivision, limits, patches, level, 1)
+            values = _lattice_values(
+                probe, subdivision, weight_limits, patches, level, 1
+            )
             means[patches] = values.mean(axis=2) * area[patches]
     # how well the sum is known, it says itself
     return Expected.of(_mean_integrals(means), least)
 
 
-def _rough(means: Floats, totals: PatchTotals, limits: Floats) -> Flags:
+def _rough(means: Floats, totals: PatchTotals, weight_limits: Floats) -> Flags:
     """Mask of patches whose integrals are too uncertain to judge the samples."""
     values, n = means.mean(axis=1), totals.n
     std_err = means.std(axis=1, ddof=1) / np.sqrt(SHIFTS)
     noise = np.sqrt(np.maximum(values[:, 0], 1 / n) / n)
     rough = std_err[:, 0] > LATTICE_SHARE * noise
     # one damped weight is a tenth of what a group leaves unknown
-    least = np.where(limits < MAX_WEIGHT, limits, 1.0)
+    least = np.where(weight_limits < MAX_WEIGHT, weight_limits, 1.0)
     weight_noise = np.sqrt(np.maximum(n * values[:, 2], least**2)) / n
     return rough | (std_err[:, 1] > LATTICE_SHARE * weight_noise)
 
@@ -223,7 +233,7 @@ def _mean_integrals(means: Floats) -> list[PatchIntegrals]:
 def _lattice_values(
     probe: Probe,
     subdivision: RingsAndSectors,
-    limits: Floats,
+    weight_limits: Floats,
     patches: Integers,
     level: int,
     repeat: int = 0,
@@ -239,7 +249,7 @@ def _lattice_values(
     else:
         x, y, z = _points(subdivision, patches, level, repeat)
     wo = mi.Vector3f(*map(floats, (x, y, z if probe.condition.side == "front" else -z)))
-    limit = floats(np.repeat(limits[patches], n // len(patches)))
+    limit = floats(np.repeat(weight_limits[patches], n // len(patches)))
     found = _finite_values(probe, wo, limit)
     values = np.empty((n, len(found)))
     for column, one in zip(values.T, found):
@@ -294,11 +304,14 @@ def _finite_values(probe: Probe, wo: mi.Vector3f, limit: mi.Float) -> list[mi.Fl
 
 
 def _adaptive(
-    probe: Probe, subdivision: RingsAndSectors, totals: PatchTotals, limits: Floats
+    probe: Probe,
+    subdivision: RingsAndSectors,
+    totals: PatchTotals,
+    weight_limits: Floats,
 ) -> Expected:
     """Integrals by cells that are split until that changes little."""
     condition, left = probe.condition, _most_evaluations(totals)
-    limit_of = mi.Float(limits)
+    limit_of = mi.Float(weight_limits)
 
     def values(_ctx: Any, _si: Any, wo: mi.Vector3f, _active: Any) -> list[mi.Float]:
         """All of :class:`Expected`, as long as there are evaluations left."""

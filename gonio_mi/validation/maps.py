@@ -182,7 +182,7 @@ class FourMaps:
     def count_scores(self) -> Scores:
         """Counted directions against the integral of ``pdf``."""
         drawn, n = self.totals, self.totals.n
-        due, bound, variance = _uncertain(self.due.counts, self.pdf_rounding)
+        due, bound, variance = _with_errors(self.due.counts, self.pdf_rounding)
         first = groups(n * due, MIN_HITS)
         k, q, e, v = (_merged(x, first) for x in (drawn.counts, due, bound, variance))
         z = _binomial_score(k, n, q, e) / _widened(n * v, q * (1 - q))
@@ -196,7 +196,7 @@ class FourMaps:
         drawn, n, first = self.totals, self.totals.n, self.damping.first
         if drawn.sums.sum() <= 0 and self.weights.sum() <= 0:
             return Scores(np.zeros(0), np.zeros(0, int), 0.0)
-        due, bound, variance = _uncertain(self.due.weights, self.eval_rounding)
+        due, bound, variance = _with_errors(self.due.weights, self.eval_rounding)
         if drawn.is_ratio:
             squares, cubes = n * self.due.squares.values, n * self.due.cubes.values
         else:
@@ -309,7 +309,7 @@ def _certain(z: Floats) -> Floats:
     return np.maximum(1 - CHANCE / np.maximum(np.abs(np.nan_to_num(z)), CHANCE), 0)
 
 
-def _uncertain(due: PatchIntegrals, relative: float) -> tuple[Floats, Floats, Floats]:
+def _with_errors(due: PatchIntegrals, relative: float) -> tuple[Floats, Floats, Floats]:
     """Values of integrals, bounds on their errors that include rounding, variances."""
     return due.values, due.bound + relative * np.abs(due.values), due.std_err**2
 

@@ -31,7 +31,7 @@ from ..collector.stokes import (
     turn,
 )
 from ..single_precision import BSDF_ROUNDING
-from .conditions import Condition
+from .conditions import N_SPOTS, Condition
 from .mistakes import EVAL, SAMPLE, Function, Mistake
 from .probe import Probe, floats, numbers, random_numbers, spectral, vectors
 from .samples import SLACK, ULPS
@@ -52,22 +52,20 @@ class MuellerProbe:
     ----------
     bsdf : mi.BSDF
     mode : {"importance", "radiance"}
-    turned : bool
-        Whether the surface is turned in the world.
+    **others
+        Of the condition, such as `turned` or `fields`, which each direction has others
+        of.
     """
 
-    def __init__(
-        self, bsdf: mi.BSDF, mode: str = "importance", turned: bool = False
-    ) -> None:
-        self.bsdf, self.mode = bsdf, mode
-        self.n_asked = 0
-        self._probe = Probe(bsdf, Condition(0.0, mode=mode, turned=turned))
+    def __init__(self, bsdf: mi.BSDF, mode: str = "importance", **others: Any) -> None:
+        self.asked, self.n_asked = Condition(0.0, mode=mode, **others), 0
+        self._probe = Probe(bsdf, self.asked)
 
     def eval(self, wi: Floats, wo: Floats, uv: Numbers = MIDDLE) -> Matrices:
         """Matrices of ``eval`` for directions of shape (..., 3)."""
         uv = self._placed(wi, uv)
         answer = self._probe.eval(vectors(wo), wi=vectors(wi))
-        return Matrices(EVAL, self.mode, wi, wo, uv, elements(answer, uv.shape[:-1]))
+        return self._matrices(EVAL, wi, wo, uv, answer)
 
     def pdf(self, wi: Floats, wo: Floats, uv: Numbers = MIDDLE) -> Floats:
         """Densities for directions of shape (n, 3); shape (n,)."""
@@ -97,9 +95,7 @@ class MuellerProbe:
         self._probe.wi = vectors(wi)
         value, pdf = self._probe.eval_pdf(vectors(wo))
         densities = numbers(pdf, n).astype(float)
-        raw = elements(value, (n,))
-        found = Matrices(Function.EVAL_PDF, self.mode, wi, wo, uv, raw)
-        return found, densities
+        return self._matrices(Function.EVAL_PDF, wi, wo, uv, value), densities
 
     def sample(self, wi: Floats, random: Floats, uv: Numbers = MIDDLE) -> Lobes:
         """Answers of ``sample`` for directions and random numbers of (..., 3)."""
@@ -108,7 +104,7 @@ class MuellerProbe:
         bs, weight = self._probe.sample(*random_numbers(random), wi=vectors(wi))
         wo = spectral(bs.wo, n).reshape(wi.shape)
         return Lobes(
-            Matrices(SAMPLE, self.mode, wi, wo, uv, elements(weight, shape)),
+            self._matrices(SAMPLE, wi, wo, uv, weight),
             numbers(bs.pdf, n).astype(float).reshape(shape),
             numbers(bs.sampled_type, n).astype(np.int64).reshape(shape),
         )
@@ -118,7 +114,16 @@ class MuellerProbe:
         self.n_asked += wi[..., 0].size
         uv = np.broadcast_to(uv, (*wi.shape[:-1], 2))
         self._probe.uv = mi.Point2f(*map(floats, uv.reshape(-1, 2).T))
+        spots = np.arange(wi[..., 0].size) % wi.shape[-2] % N_SPOTS
+        self._probe.spots = mi.UInt32(spots)
         return uv
+
+    def _matrices(
+        self, function: Function, wi: Floats, wo: Floats, uv: Floats, answer: Any
+    ) -> Matrices:
+        return Matrices(
+            function, self.asked, wi, wo, uv, elements(answer, uv.shape[:-1])
+        )
 
 
 @dataclass(frozen=True)
@@ -129,7 +134,8 @@ class Matrices:
     ----------
     function : Function
         Which answered them.
-    mode : str
+    asked : Condition
+        Of all of them, but for directions and places.
     wi, wo : ndarray, shape (..., 3)
     uv : ndarray, shape (..., 2)
         Texture coordinates.
@@ -140,7 +146,7 @@ class Matrices:
     """
 
     function: Function
-    mode: str
+    asked: Condition
     wi: Floats
     wo: Floats
     uv: Floats
@@ -150,14 +156,16 @@ class Matrices:
     @property
     def beams(self) -> tuple[Floats, Floats]:
         """Directions in which light arrives and leaves."""
-        if self.mode == "importance":
+        if self.asked.mode == "importance":
             return -self.wi, self.wo
         return -self.wo, self.wi
 
     @property
     def in_mode(self) -> str:
-        """Text that names radiance mode, in which alone something is wrong."""
-        return ", in radiance mode (ctx.mode)" if self.mode == "radiance" else ""
+        """Text that names the mode and fields in which alone something is wrong."""
+        if self.asked.fields:
+            return f", with other si.{', si.'.join(self.asked.fields)}"
+        return ", in radiance mode (ctx.mode)" if self.asked.mode == "radiance" else ""
 
     @property
     def light(self) -> Floats:
@@ -225,8 +233,10 @@ class Matrices:
         theta, phi = (float(np.round(np.degrees(x), 1)) % 360 for x in angles(wi))
         side = "front" if wi[2] > 0 else "back"
         theta_i = theta if wi[2] > 0 else float(np.round(180 - theta, 1))
+        spot = int(at[-1]) % N_SPOTS if self.asked.fields else 0
         u, v = self.uv[at].tolist()
-        return Condition(theta_i, phi, side, (u, v), self.mode)
+        lit = replace(self.asked, theta_i=theta_i, phi_i=phi, side=side, turned=False)
+        return replace(lit, uv=(u, v), spot=spot)
 
     def by(self, size: Floats) -> Matrices:
         """The same, with how wrong each is."""
@@ -422,7 +432,8 @@ def other_mode(matrices: Matrices) -> Iterator[tuple[Reading, Floats]]:
 
     As :func:`readings`; the matrix is that of light which goes back the same way.
     """
-    if matrices.mode == "radiance":
-        there = replace(matrices, mode="importance").in_plane()
+    if matrices.asked.mode == "radiance":
+        asked = replace(matrices.asked, mode="importance")
+        there = replace(matrices, asked=asked).in_plane()
         back = EXCHANGE @ np.swapaxes(there, -1, -2) @ EXCHANGE
         yield Reading.OTHER_MODE, back

@@ -186,18 +186,14 @@ def _check_rings(evidence: Evidence) -> None:
         (SAMPLING, Densities(phase), OfVolumes.DRAWS_OTHERWISE),
     ):
         found = ask_phase_function(asked, wavelengths)
-        worst = int(found.misplaced.argmax())
-        text = f"{found.misplaced[worst]:.2g} of the light in other rings"
+        size = float(found.misplaced.max())
+        text = f"{size:.2g} of the light in other rings"
         remark = f"in rings about the light, of 4 directions: {text}"
         evidence.remark(question.name, remark)
         if found.excess > 1:
-            evidence.breach(
-                question,
-                mistake(SAMPLE),
-                found=f"{text}, {found.excess:.3g} times the tolerance",
-                size=float(found.misplaced[worst]),
-                off=float(min(found.misplaced[worst], 1.0)),
-            )
+            text += f", {found.excess:.3g} times the tolerance"
+            how = {"size": size, "off": min(size, 1.0)}
+            evidence.breach(question, mistake(SAMPLE), found=text, **how)
         if question is WEIGHTS:
             total, bound = found.evaluated, found.tolerance
             off = np.abs(total[:, :N_RINGED].sum(axis=1) - 1)

@@ -17,7 +17,7 @@ from ..collector.directions import angles, direction
 from ..collector.stokes import UPRIGHT, plane_axis
 from ..instrument.loading import loaded
 from .checks import energy, first_element, frames, matrices, realisable
-from .conditions import PLACES, sides_of
+from .conditions import FIELDS, N_SPOTS, PLACES, sides_of, surroundings
 from .evidence import Evidence
 from .mueller import (
     Lobes,
@@ -75,6 +75,8 @@ def examine_polarised(
     examination.check_jumps()
     if not evidence.of("frames"):
         examination.check_world()
+    if not any(map(evidence.of, matrices.AGREEMENTS)):
+        examination.check_fields()
     examination.check_energy()
     probes = (examination.importance, examination.radiance, examination.turned)
     return sum(probe.n_asked for probe in probes)
@@ -143,10 +145,13 @@ class _Examination:
         )
         answered = (values.raw[smooth], lobes.weights.raw[lobes.given])
         if sum(map(len, answered)) == 0:
-            for question in evidence.questions[1:]:
-                text = "nothing was lit, so that nothing was seen"
-                evidence.undecided[question.name] = text
+            text = "no light was scattered, so that nothing was compared"
+            names = (question.name for question in evidence.questions[1:])
+            evidence.undecided |= dict.fromkeys(names, text)
         elif all(is_depolarised(per_light(raw)) for raw in answered):
+            evidence.note = (
+                "but it depolarises all light, so that nothing else was asked"
+            )
             text = "all matrices have the first element only: light leaves unpolarised"
             if (lobes.delta & ~lobes.null).any():
                 text += ", by discrete lobes too, where a smooth surface polarises it"
@@ -160,9 +165,29 @@ class _Examination:
         if smooth.any():
             pairs = values.wi, values.wo, values.uv
             pdf = probe.pdf(*pairs)
-            matrices.check_weights(self.evidence, lobes, values, pdf, slack)
+            matrices.check_sampled(self.evidence, lobes, values, pdf, slack)
             joint = probe.eval_pdf(*pairs)
             matrices.check_eval_pdf(self.evidence, values, pdf, *joint, smooth)
+
+    def check_fields(self) -> None:
+        """Check agreement where each pair has other fields of its interaction.
+
+        What fails is told of one field, if that alone fails.
+        """
+        breaches = self.evidence.breaches
+        n, of_all = len(breaches), breaches[:0]
+        for fields in (FIELDS, *((one,) for one in FIELDS)):
+            probe = MuellerProbe(self.evidence.bsdf, fields=fields)
+            uv = surroundings()["uv"][np.arange(len(self.wi)) % N_SPOTS]
+            uv = uv if "uv" in fields else self.uv
+            lobes = probe.sample(self.wi, self.random, uv)
+            values = probe.eval_with_slack(self.wi, self._directions(lobes), uv)
+            self._check_agreement(probe, lobes, *values)
+            found = breaches[n:]
+            if bool(found) != (fields is FIELDS):
+                break  # nothing, or one field
+            of_all, breaches[n:] = of_all or found, []
+        breaches.extend(of_all * (len(breaches) == n))
 
     def _check_returns(self) -> None:
         """Check discrete lobes on the way back, and in radiance mode."""
@@ -227,7 +252,7 @@ class _Examination:
                 usable &= np.abs(matrices.wo - wo).max(-1) < SAME_DIRECTION
             same = np.asarray(usable.all(axis=1))
             turned_pairs = frames.Turned(matrices, slack, normal, nested)
-            frames.check_turned(self.evidence, turned_pairs.those(same))
+            frames.check_turned(self.evidence, turned_pairs.select(same))
 
     def _some(self, chosen: Flags) -> Integers:
         """Indices of a few samples of each type and side."""

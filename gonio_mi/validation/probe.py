@@ -22,7 +22,10 @@ from ..transport.bsdf_trial import (
     checked_sample,
     missing_method,
 )
-from .conditions import POSITION, TURN, Condition, surroundings
+from .conditions import N_SPOTS, POSITION, TURN, Condition, surroundings
+
+# What surroundings have of a field besides.
+WITH = {"sh_frame": "s", "dp_du": "dp_dv"}
 
 # Mitsuba's record of a sample, and its weight.
 Sample: TypeAlias = "tuple[mi.BSDFSample3f, mi.Spectrum]"
@@ -55,13 +58,11 @@ class Probe:
         self.axes = [mi.Vector3f(axis.tolist()) for axis in axes.T]
         self.p = mi.Point3f((POSITION if condition.turned else 0 * POSITION).tolist())
         self.spots = mi.UInt32(condition.spots)
-        self.fields = {name: None for name in condition.fields if name != "uv"}
-        if "sh_frame" in self.fields:
-            self.fields["s"] = None
-        if "dp_du" in self.fields:
-            self.fields["dp_dv"] = None
-        for name in self.fields:
-            columns = surroundings()[name].reshape(len(surroundings()[name]), -1).T
+        names = {*condition.fields} - {"uv"}
+        names |= {WITH[name] for name in names & WITH.keys()}
+        self.fields = {}
+        for name in sorted(names):
+            columns = np.reshape(surroundings()[name], (N_SPOTS, -1)).T
             kind = mi.Float if len(columns) == 1 else mi.Vector3f
             self.fields[name] = kind(*map(floats, columns))
         # one kernel for all

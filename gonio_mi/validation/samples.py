@@ -77,7 +77,7 @@ def means_differ(a: Floats, b: Floats, wo: Floats, wo_b: Floats | None = None) -
     Of all, or times a polynomial of wo: noise has the mean 0 in every direction.
     Arrays are ``(n, channels)``, and wo of `b` is that of `a` unless it is given.
     """
-    both = zip(_moments(wo), _moments(wo if wo_b is None else wo_b))
+    both = zip(moments(wo), moments(wo if wo_b is None else wo_b))
     for off in (a * first[:, None] - b * second[:, None] for first, second in both):
         std_err = off.std(axis=0) / np.sqrt(max(len(off), 1))
         if (np.abs(off.mean(axis=0)) > MAX_SCORE * std_err).any():
@@ -85,8 +85,8 @@ def means_differ(a: Floats, b: Floats, wo: Floats, wo_b: Floats | None = None) -
     return False
 
 
-def _moments(wo: Floats) -> tuple[Floats, ...]:
-    """Values of polynomials, each of shape (n,)."""
+def moments(wo: Floats) -> tuple[Floats, ...]:
+    """Values of polynomials of directions, each of shape (n,)."""
     x, y, z = wo.T
     return np.ones(len(wo)), x, y, z, z * z, x * y, x * x - y * y
 
@@ -180,7 +180,7 @@ class Samples:
         """Mask of directions on the lit side."""
         return self.wo[:, 2] * self.wi[:, 2] > 0
 
-    def those(self, mask: Flags) -> Samples:
+    def select(self, mask: Flags) -> Samples:
         """Samples of the mask, without answers of the joint functions."""
         kept = {
             name: value[mask]

@@ -30,8 +30,8 @@ DECIDED_BY = {
 
 # Attributes of a property as they stand in JSON.
 REPORTED = (
-    *("name", "status", "statistic", "mistake", "function", "p_value", "effect"),
-    *("share", "minor"),
+    *("question", "name", "status", "statistic", "mistake", "function", "p_value"),
+    *("effect", "share", "minor", "places"),
 )
 
 # Integrators that ask a phase function.
@@ -167,6 +167,8 @@ class Verdict:
         Statements that load the BSDF as ``bsdf``; None of an object.
     guess : Guess or None
         Of which `function` and `mistake` are the text.
+    note : str
+        What the headline adds if nothing fails.
     """
 
     # how a verdict shows itself in a notebook: its page sets it
@@ -180,6 +182,7 @@ class Verdict:
     maps: tuple[FourMaps, ...] = field(default=(), repr=False)
     source: str | None = field(default=None, repr=False)
     guess: Guess | None = field(default=None, repr=False)
+    note: str = ""
 
     @property
     def passed(self) -> bool:
@@ -195,12 +198,9 @@ class Verdict:
 
         Light that is merely too rare to judge adds noise, and leaves it decided.
         """
-        if self._failed:
-            return ""
-        for one in self.properties:
-            if one.needed and one.status == UNDECIDED and one.effect != NOISE:
-                return one.statistic
-        return ""
+        needed = (p for p in self.properties if p.needed and p.effect != NOISE)
+        why = (p.statistic for p in needed if p.status == UNDECIDED)
+        return "" if self._failed else next(why, "")
 
     @property
     def _failed(self) -> bool:
@@ -242,6 +242,7 @@ class Verdict:
             rest = f", {undecided} could not be decided" if undecided else ""
             if any(p.effect == COST for p in self.properties):
                 rest += ", but it adds cost"
+            rest += self.note and f", {self.note}"
             return f"{self.name}: nothing wrong was found{rest}{self.near}"
         word = "passes, with a remark" if self.passed else "FAILS"
         # the mistake first: a summary shows the beginning only
@@ -272,10 +273,7 @@ class Verdict:
         return Verdict.viewer(self)
 
     def __getitem__(self, name: str) -> Property:
-        for one in self.properties:
-            if one.name == name:
-                return one
-        raise KeyError(name)
+        return {one.name: one for one in self.properties}[name]
 
     def __str__(self) -> str:
         failed = self.failures
@@ -286,6 +284,9 @@ class Verdict:
             lines.append(f"{UNDECIDED:<10}all else: {rest[0].statistic}")
         s = self.settings
         lines.append("")
+        if failed and s["tints"]:
+            tints = ", ".join(f"{name} {tint}" for name, tint in s["tints"].items())
+            lines.append(f"grey parameters were given colours: {tints}")
         lines.append(
             f"{s['n_tests']} statistical tests share a false-alarm probability of "
             f"{s['alpha']:g}; {s['n_samples']:.3g} samples, seed {s['seed']}, "
@@ -302,14 +303,13 @@ class Verdict:
         dict
             ``name``, ``passed`` (whether the exit code is 0), ``undecided`` (why
             nothing is known, else empty), ``function`` and ``mistake`` (what is most
-            likely wrong), ``effect`` (the worst),
-            ``settings`` (effort, seed, alpha, allow, strict, variant, numbers of tests
-            and samples), and ``properties``: a list with ``name``, ``question``,
+            likely wrong), ``effect`` (the worst), ``settings`` (effort, seed, alpha,
+            allow, strict, variant, colours that grey parameters were given, numbers of
+            tests and samples), and ``properties``: a list with ``name``, ``question``,
             ``status``, ``statistic``, ``mistake``, ``function``, ``p_value``,
             ``effect``, ``share``, ``minor`` (whether that is known to be below 1e-4)
-            and ``places`` of each. The command adds ``others``,
-            the same of other variants, and ``skipped``, by variant why it was not
-            judged there.
+            and ``places`` of each. The command adds ``others``, the same of other
+            variants, and ``skipped``, by variant why it was not judged there.
         """
         return {
             "name": self.name,
@@ -319,12 +319,7 @@ class Verdict:
             "mistake": self.mistake,
             "effect": self.failures[0].effect if self.failures else None,
             "properties": [
-                {
-                    "question": p.question,
-                    **{key: getattr(p, key) for key in REPORTED},
-                    "places": list(p.places),
-                }
-                for p in self.properties
+                {key: getattr(p, key) for key in REPORTED} for p in self.properties
             ],
             "settings": dict(self.settings),
         }
@@ -355,8 +350,7 @@ def properties_of(
         if evidence.of_volumes:
             reached = VOLUMETRIC if one.effect in (BIAS, BREAKS) else ""
         one = replace(one, question=str(question.text), needed=question.needed)
-        fixed = replace(one, of_volumes=evidence.of_volumes, integrators=reached)
-        found.append(fixed)
+        found.append(replace(one, of_volumes=evidence.of_volumes, integrators=reached))
     return found
 
 

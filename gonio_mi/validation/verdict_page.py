@@ -45,9 +45,9 @@ LEGEND = (
     "Maps of both hemispheres in 1/sr, seen from the normal: the circle is the "
     "direction to the source, the cross the patch whose score is the worst. Scores z "
     "are normal if nothing is wrong: beyond 5 or so, they are no chance; their colours "
-    "are linear up to 2, and logarithmic beyond. Below, what is drawn and what is due "
+    "are linear up to 2, and logarithmic beyond. Below, counts and integrals "
     "in the plane through that patch, which a line marks; the band is two standard "
-    "errors wide on either side of what is due."
+    "errors wide on either side of the integral."
 )
 
 check_report = check_page

@@ -29,8 +29,7 @@ RIGHT = (
 )
 
 # Where weight times pdf is one account and `eval` another, and nothing tells which of
-# both is right: neither gains light, both are reciprocal. So it is where lobes, or
-# directions of one, are drawn with another probability than `pdf` says.
+# both is right: neither gains light, both are reciprocal.
 EITHER = (
     "eval_five_percent_less",
     "weight_five_percent_less",
@@ -39,9 +38,6 @@ EITHER = (
     "eval_with_uv_swapped",
     "eval_of_one_roughness",
     "eval_eta2_upside_down",
-    "lobes_picked_the_wrong_way",
-    "sample_reused",
-    "axes_swapped",
 )
 
 MISTAKES = {
@@ -105,6 +101,7 @@ MISTAKES = {
     "density_without_cosine_of_h": "pdf",
     # of an anisotropic lobe
     "axes_swapped": "sample",
+    "pdf_with_axes_swapped": "pdf",
     "flags_isotropic": "flags",
     # of interfaces
     "radiance_without_eta2": "sample",
@@ -689,6 +686,13 @@ def register():
         def facet(self, si, sample2):
             h = super().facet(si, sample2)
             return mi.Vector3f(h.y, h.x, h.z)
+
+    class PdfWithAxesSwapped(Brushed):
+        def densities(self, si, wo):
+            own, self.alpha = self.alpha, self.alpha[::-1]
+            found = super().densities(si, wo)
+            self.alpha = own
+            return found
 
     class FlagsIsotropic(Brushed):
         components = (diffuse | front, glossy | front)

@@ -62,11 +62,6 @@ def bump(nested):
 
 # blends are one component whatever they draw, and 0/0 at 90 degrees exactly
 BLEND, MASK, BUMP = "ends flags components", "sampling masks flags", "reciprocity flags"
-# eval is another number at each call
-RANDOM = (
-    "answers eval_pdf flags components masks eval_pdf_sample sampled_weight weights "
-    "reciprocity parameters"
-)
 
 # what holds a texture is made once a variant is set
 UNUSUAL = {
@@ -122,7 +117,7 @@ class Noisy(Grey):
         return mi.PCG32(initstate=first, initseq=second)
 
 
-@unusual(RANDOM)
+@unusual("answers")
 class StochasticEval(Noisy):
     """`eval` is 0 or twice its mean by chance, as of a layered model."""
 
@@ -131,7 +126,7 @@ class StochasticEval(Noisy):
         return super().eval(ctx, si, wo, active) * dr.select(coin < 0.5, 2.0, 0.0)
 
 
-@unusual(RANDOM)
+@unusual("answers")
 class RippledEval(Noisy):
     """`eval` is noisy by half its mean."""
 
@@ -140,7 +135,7 @@ class RippledEval(Noisy):
         return super().eval(ctx, si, wo, active) * (0.5 + coin)
 
 
-@unusual("answers masks eval_pdf_sample")
+@unusual("answers eval_pdf_sample")
 class OwnRandomNumbers(Noisy):
     """`sample` does not use the numbers that it gets."""
 

@@ -224,7 +224,7 @@ def test_radiance_may_be_wrong_from_one_side_only(side, factor):
     found = judged["adjoint"]
     assert found.effect == "biases images"
     assert "path and all that trace rays from the sensor" in found.consequence
-    assert f"{factor:g} times what is due for wi on the {side}" in found.mistake
+    assert f"{factor:g} times the expected one for wi on the {side}" in found.mistake
     assert difference(reproducer(judged, "adjoint")) > 5
 
 

@@ -117,7 +117,7 @@ def test_one_of_many_parameters_that_is_ignored_is_found():
     """Also if it is not among the few that are updated alone."""
     idle = {f"idle_{i}": 0.5 for i in range(MAX_ALONE)}
     values = {"a": 0.4, "k": 3.0} | idle
-    assert "k" not in parameters.few(values)
+    assert "k" not in parameters.evenly_chosen(values)
     judged = verdict(values=values, parameters_changed=lambda *_: None)
     assert judged["parameters"].mistake == "`pdf` does not follow a change of k"
 
@@ -173,7 +173,7 @@ def test_an_update_that_is_refused_always(refused):
 def test_of_many_parameters_some_are_changed_alone():
     """Each of few; of many no more than the bound."""
     for n in (2, MAX_ALONE, MAX_ALONE + 1, 10 * MAX_ALONE):
-        few = parameters.few({f"k{i}": 3.0 for i in range(n)})
+        few = parameters.evenly_chosen({f"k{i}": 3.0 for i in range(n)})
         assert min(n, MAX_ALONE) / 2 <= len(few) <= MAX_ALONE
         assert len(few) == n or n > MAX_ALONE
 

@@ -147,8 +147,12 @@ SAID = {
     "weight_five_percent_less": "`eval` or the weight of `sample`: they differ by",
     "roulette_without_its_probability": "`sample` rejects 0.29",
     "draws_local": "`sample` draws directions about z, not about wi",
-    "draws_backward": "`sample` draws directions opposite to those",  # the twin
+    "draws_backward": "`sample` draws directions opposite to the right",  # the twin
     "weight_without_g1": "`sample` weight lacks the factor G1(wo), ",
+    "lobes_picked_the_wrong_way": "`sample` draws another lobe for component 0 alone",
+    "sample_reused": "`sample` draws other directions of component 0 in the whole than",
+    "axes_swapped": "`sample` draws directions of half vectors with x and y swapped",
+    "pdf_with_axes_swapped": "`pdf` is that of directions of half vectors with x and",
     "after_many_calls": "`eval` returns different values when called again",
     "after_many_samples": "`sample` returns different values when called again",
 }

@@ -17,6 +17,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from broken_bsdfs import EITHER, MISTAKES, RIGHT, judged
+from plain_bsdf import lobes, over, plain
 
 from gonio_mi import SpecimenError, cli
 from gonio_mi.testing import assert_bsdf_valid
@@ -160,7 +161,7 @@ def test_declared_asymmetry_is_reported_and_no_failure():
 @pytest.mark.parametrize(
     ("specimen", "reason"),
     [
-        ({"type": "diffuse", "reflectance": 0.0}, "nothing was lit"),
+        ({"type": "diffuse", "reflectance": 0.0}, "no light was scattered"),
         ({"type": "noise"}, "did not converge"),
     ],
 )
@@ -177,6 +178,36 @@ def test_nothing_lit_and_nothing_decided_are_no_pass(specimen, reason, capsys):
         words = ["validate", "diffuse:reflectance=0", "--effort", "quick"]
         assert cli.main(words) == 4
         assert "UNDECIDED" in capsys.readouterr().out
+
+
+class Below:
+    """Lambertian that is lit from below, as where a sign of wi.z is wrong."""
+
+    def above(self, si, wo):
+        return (si.wi.z < 0) & (wo.z < 0)
+
+    def direction(self, ctx, si, sample1, sample2):
+        return -super().direction(ctx, si, sample1, sample2)
+
+    def value(self, ctx, si, wo):
+        return -super().value(ctx, si, wo)
+
+    def density(self, ctx, si, wo):
+        return -super().density(ctx, si, wo)
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("side", ["FrontSide", "BackSide"])
+def test_light_on_the_side_that_scatters_none_is_told(side):
+    """The twin is the side that scatters."""
+    own = {"components": lobes(f"DiffuseReflection {side}")}
+    mi.register_bsdf("below", over(type("Sided", (Below,), own), plain()))
+    verdict = validate({"type": "below"}, effort="quick")
+    if side == "BackSide":
+        assert verdict.passed, str(verdict)
+    else:
+        assert "all light met the front of the surface, the only" in verdict.headline
+        assert "; light from the back is scattered: " in verdict.undecided
 
 
 @pytest.mark.parametrize(
@@ -214,6 +245,31 @@ def test_arguments(changes, error, text):
     else:
         with pytest.raises(error, match=text):
             validate(specimen, **arguments)
+
+
+class OfColour:
+    """Lambertian of a colour, `kept` of which `eval` has."""
+
+    kept = 1.0
+
+    def load(self, props):
+        self.reflectance = mi.Color3f(props.get("reflectance", 0.5))
+
+    def traverse(self, callback):
+        callback.put("reflectance", self.reflectance, mi.ParamFlags.Differentiable)
+
+    def eval(self, ctx, si, wo, active=True):
+        return self.kept * super().eval(ctx, si, wo, active)
+
+
+@pytest.mark.usefixtures("rgb")
+@pytest.mark.parametrize("kept", [1.0, 0.9])
+def test_colours_of_a_failure_are_told(kept):
+    """The twin is right, and nobody has to know."""
+    mi.register_bsdf("tinted", over(type("Own", (OfColour,), {"kept": kept}), plain()))
+    verdict = validate({"type": "tinted", "reflectance": 0.5}, effort="quick")
+    assert verdict.passed == (kept == 1), str(verdict)
+    assert ("given colours: reflectance [0.5, 0.4, 0.3]" in str(verdict)) == (kept < 1)
 
 
 @pytest.mark.usefixtures("rgb")

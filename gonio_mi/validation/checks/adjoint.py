@@ -35,9 +35,9 @@ class Adjoint(Mistake):
     LACKS_ETA2 = "{who} lacks 1/eta^2 in radiance mode"
     ALIKE = """{who} is the same in both modes: 1/eta^2 is missing in radiance mode, or
         there in importance mode"""
-    FACTOR_OF_RADIANCE = """{who} of radiance mode is {factor:.4g} times what is due for
-        wi on the {side}"""
-    RATIO = "{who} of the modes has the ratio {ratio:.4g}, where 1 is due"
+    FACTOR_OF_RADIANCE = """{who} of radiance mode is {factor:.4g} times the expected
+        one for wi on the {side}"""
+    RATIO = "{who} of the modes has the ratio {ratio:.4g}, where 1 is expected"
     NOT_SWAPPED = """{who} of radiance mode is not that of importance mode with wi and
         wo swapped"""
     WEIGHT_LACKS_ETA2 = "{who} weight lacks 1/eta^2 in radiance mode"
@@ -65,15 +65,10 @@ def check_ways(evidence: Evidence, ways: BothWays) -> None:
     if beyond_rounding(wrong):
         of_others = _guess_of_wavelengths(ways, wrong)
         of_radiance = reciprocal[wrong].mean() > 0.5 and not of_others
-        evidence.breach(
-            ADJOINT,
-            of_others or _guess(ways, wrong, of_radiance),
-            samples,
-            wrong,
-            statistic=ratio_text(ways.forward, ways.adjoint, wrong, samples),
-            off=None,
-            effect=BIAS if of_radiance else BREAKS,
-        )
+        guess = of_others or _guess(ways, wrong, of_radiance)
+        text = ratio_text(ways.forward, ways.adjoint, wrong, samples)
+        how = {"off": None, "effect": BIAS if of_radiance else BREAKS}
+        evidence.breach(ADJOINT, guess, samples, wrong, statistic=text, **how)
 
 
 def _guess_of_wavelengths(ways: BothWays, wrong: Flags) -> Guess | None:
@@ -144,11 +139,7 @@ def check_lobe(
             mistake = Adjoint.WEIGHT_LACKS_ETA2
         elif abs(ratio * due - 1) < 1e-3:
             mistake = Adjoint.ETA_UPSIDE_DOWN
-        evidence.breach(
-            ADJOINT,
-            mistake(SAMPLE, ratio=ratio),
-            samples.condition,
-            found=f"radiance over importance is {ratio:.4g} where 1/eta^2 = {due:.4g}",
-            effect=BIAS if returns else BREAKS,
-            kind=Kind.ADJOINT_OF_A_LOBE,
-        )
+        guess, at = mistake(SAMPLE, ratio=ratio), samples.condition
+        text = f"radiance over importance is {ratio:.4g} where 1/eta^2 = {due:.4g}"
+        how = {"effect": BIAS if returns else BREAKS, "kind": Kind.ADJOINT_OF_A_LOBE}
+        evidence.breach(ADJOINT, guess, at, found=text, **how)

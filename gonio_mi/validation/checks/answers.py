@@ -131,16 +131,11 @@ def check_lattice(evidence: Evidence, probe: Probe) -> None:
             theta, phi = np.degrees([np.arccos(z), np.arctan2(y, x)])
             black = np.isfinite(answer[wrong]).all() and not value[wrong].any()
             fields = {"what": "value", "value": example(answer[wrong])}
-            evidence.breach(
-                ANSWERS,
-                Answers.IMPROPER_IN_PLACES(function, **fields),
-                probe.condition,
-                found=f"{wrong.mean():.3g} of all directions, such as theta_o "
-                f"{theta:.0f}, phi_o {phi % 360:.0f}",
-                size=float(wrong.mean()),
-                off=float(wrong.mean()),
-                effect=INTERFACE if black else "",
-            )
+            guess = Answers.IMPROPER_IN_PLACES(function, **fields)
+            share, place = float(wrong.mean()), f"{theta:.0f}, phi_o {phi % 360:.0f}"
+            text = f"{share:.3g} of all directions, such as theta_o {place}"
+            how = {"size": share, "off": share, "effect": INTERFACE if black else ""}
+            evidence.breach(ANSWERS, guess, probe.condition, found=text, **how)
 
 
 def check_frames(evidence: Evidence) -> None:
@@ -169,9 +164,8 @@ def check_frames(evidence: Evidence) -> None:
         if found is None:
             continue
         guess, wrong = found
-        if _turned_answer(evidence.bsdf, samples, moved=True) is None:
-            _remark_on_place(evidence, guess.functions)
-        elif turned - flat or guess.mistake not in MIXED:
+        place = _turned_answer(evidence.bsdf, samples, moved=True) is None
+        if not place and (turned - flat or guess.mistake not in MIXED):
             others = {"size": 2.0, "off": None, "kind": Kind.OTHER_IN_THE_WORLD}
             text = "where the surface is turned,"
             evidence.breach(ANSWERS, guess, samples, wrong, found=text, **others)

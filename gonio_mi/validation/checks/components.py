@@ -79,15 +79,12 @@ def _check_discrete(evidence: Evidence, samples: Samples, each: Alone) -> None:
         whole = _median(flux)
         several = unequal(flux, np.broadcast_to(whole, flux.shape), 0.0).any()
         if not several and unequal(whole[None], due[None], 0.0)[0]:
-            evidence.breach(
-                COMPONENTS,
-                Components.OTHER_LOBE(SAMPLE, component=i),
-                samples.condition,
-                found=f"{due.max():.4g} of the light alone, {whole.max():.4g} in the "
-                "whole,",
-                kind=Kind.LOBE_OF_A_COMPONENT,
-                about=str(i),
+            guess = Components.OTHER_LOBE(SAMPLE, component=i)
+            text = (
+                f"{due.max():.4g} of the light alone, {whole.max():.4g} in the whole,"
             )
+            how = {"found": text, "kind": Kind.LOBE_OF_A_COMPONENT, "about": str(i)}
+            evidence.breach(COMPONENTS, guess, samples.condition, **how)
 
 
 def are_apart(bsdf: mi.BSDF, samples: Samples, each: Alone) -> bool:
@@ -124,8 +121,11 @@ def _check_types(evidence: Evidence, samples: Samples, each: Alone) -> None:
         # a sample may fail where a lobe is chosen that the mask excludes
         both = samples.smooth & (density > 0) & (of_component > 0)
         share = np.median(density[both] / of_component[both]) if both.any() else 1.0
+        value = probe.values(samples.wo)
+        if evidence.by_chance(value, each.eval[i], samples.wo):
+            value = each.eval[i]
         for function, wrong in (
-            (EVAL, unequal(probe.values(samples.wo), each.eval[i], 0.0)),
+            (EVAL, unequal(value, each.eval[i], 0.0)),
             (PDF, unequal(density, min(share, 1.0) * of_component, 0.0)),
             (SAMPLE, given & ((drawn & (lobes ^ own)) != 0)),
         ):
@@ -151,20 +151,16 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
         _check_types(evidence, samples, each)
     total, density = each.eval.sum(axis=0), each.pdf.sum(axis=0)
     usable = samples.smooth & np.isfinite(total).all(axis=1) & np.isfinite(density)
-    deaf = _deaf(samples, each, usable)
+    deaf = _ignoring_components(samples, each, usable)
     wrong = unequal(total, samples.eval, samples.eval_slack) & usable
-    if beyond_rounding(wrong):
+    drawn = total[usable], samples.eval[usable], samples.wo[usable]
+    if beyond_rounding(wrong) and not evidence.by_chance(*drawn):
         whole = samples.eval[wrong].sum(axis=1)
         ratio = total[wrong].sum(axis=1) / np.maximum(whole, 1e-30)
-        evidence.breach(
-            COMPONENTS,
-            deaf or Components.NO_SUM(EVAL),
-            samples,
-            wrong,
-            found=f"their sum is {np.median(ratio):.4g} times the whole",
-            size=1 + float(wrong.mean()),
-            off=None,
-        )
+        guess = deaf or Components.NO_SUM(EVAL)
+        text = f"their sum is {np.median(ratio):.4g} times the whole"
+        how = {"found": text, "size": 1 + float(wrong.mean()), "off": None}
+        evidence.breach(COMPONENTS, guess, samples, wrong, **how)
     more = unequal(samples.pdf, density, samples.pdf_slack) & (samples.pdf > density)
     more &= usable
     if beyond_rounding(more):
@@ -175,7 +171,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
         evidence.breach(COMPONENTS, guess, samples, more, found=text, off=None)
 
 
-def _deaf(samples: Samples, each: Alone, usable: Flags) -> Guess | None:
+def _ignoring_components(samples: Samples, each: Alone, usable: Flags) -> Guess | None:
     """What functions ignore ctx.component; None if none does.
 
     For a BSDF with one component this cannot be told. `eval` shows it.

@@ -66,16 +66,11 @@ def check_normal(evidence: Evidence, samples: Samples) -> None:
         # near normal incidence, and nowhere else, all azimuths are one direction
         jump = min(changes) / whole if whole > 0 else 0.0
         if jump > MAX_JUMP and min(changes) > 4 * steep:
-            evidence.breach(
-                CONTINUITY,
-                Continuity.AT_NORMAL(function),
-                samples.condition,
-                statistic=f"{function.quoted} changes by {jump:.3g} of itself within "
-                f"{np.degrees(MAX_TILT):.1g} degrees of normal incidence, "
-                f"{samples.condition.side}",
-                size=float(jump),
-                kind=Kind.JUMP_AT_NORMAL,
-            )
+            guess, at = Continuity.AT_NORMAL(function), samples.condition
+            text = f"{function.quoted} changes by {jump:.3g} of itself within "
+            text += f"{np.degrees(MAX_TILT):.1g} degrees of normal incidence, {at.side}"
+            how = {"size": float(jump), "kind": Kind.JUMP_AT_NORMAL}
+            evidence.breach(CONTINUITY, guess, at, statistic=text, **how)
 
 
 def check_cutoffs(evidence: Evidence, condition: Condition) -> None:

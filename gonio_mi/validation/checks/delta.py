@@ -133,15 +133,10 @@ def _check_direction(evidence: Evidence, lobe: Lobe) -> None:
         off = np.abs(wi[:2] + eta * wo[:2]).max()
         law = "that of Snell's law for its eta"
     if off > DIRECTION_ROUNDING:
-        evidence.breach(
-            DELTA,
-            Delta.DIRECTION(SAMPLE, law=law),
-            lobe.samples.condition,
-            found=f"the direction is off by {off:.3g}",
-            size=off,
-            effect=MODEL,
-            kind=Kind.DIRECTION_OF_A_LOBE,
-        )
+        guess, at = Delta.DIRECTION(SAMPLE, law=law), lobe.samples.condition
+        how = {"size": off, "effect": MODEL, "kind": Kind.DIRECTION_OF_A_LOBE}
+        text = f"the direction is off by {off:.3g}"
+        evidence.breach(DELTA, guess, at, found=text, **how)
 
 
 def _check_probability(evidence: Evidence, lobe: Lobe) -> None:
@@ -173,10 +168,6 @@ def check_null(evidence: Evidence, samples: Samples) -> None:
     if null.any():
         sampled, slack = samples.flux[null].mean(axis=0), BSDF_ROUNDING
     if np.abs(sampled - reported).max() > slack:
-        evidence.breach(
-            DELTA,
-            Delta.OTHER_THAN_SAMPLED(function),
-            samples.condition,
-            found=f"says {reported.max():.4g}, sampled is {sampled.max():.4g}",
-            kind=Kind.NULL_TRANSMISSION,
-        )
+        guess, at = Delta.OTHER_THAN_SAMPLED(function), samples.condition
+        text = f"says {reported.max():.4g}, sampled is {sampled.max():.4g}"
+        evidence.breach(DELTA, guess, at, found=text, kind=Kind.NULL_TRANSMISSION)

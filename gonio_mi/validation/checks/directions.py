@@ -107,17 +107,11 @@ def check_eta(evidence: Evidence, ways: BothWays) -> BothWays:
         return ways
     inverse = abs(reported * due - 1) < MAX_OFF
     mistake = Directions.ETA_OF_OTHER_SIDE if inverse else Directions.ETA
-    evidence.breach(
-        DIRECTIONS,
-        mistake(SAMPLE),
-        samples,
-        through,
-        found=f"{reported**0.5:.4g} where the transport modes of `eval` have "
-        f"{due**0.5:.4g},",
-        off=None,
-        effect=NOISE,  # only Russian roulette uses it
-        kind=Kind.ETA,
-    )
+    # only Russian roulette uses it
+    how = {"off": None, "effect": NOISE, "kind": Kind.ETA}
+    text = f"{reported**0.5:.4g} where the transport modes of `eval` have "
+    text += f"{due**0.5:.4g},"
+    evidence.breach(DIRECTIONS, mistake(SAMPLE), samples, through, found=text, **how)
     return replace(ways, eta2=np.where(samples.reflected[:, None], 1.0, due))
 
 

@@ -112,14 +112,9 @@ def _check_condition(evidence: Evidence, probe: Probe, place: str) -> None:
     length = np.linalg.norm(wo, axis=1)
     wrong = given & ~(np.abs(length - 1) < BSDF_ROUNDING)
     if (wrong := wrong & ~(along & ~np.isfinite(length))).any():
-        evidence.breach(
-            ENDS,
-            Ends.LENGTH(SAMPLE),
-            found=f"direction {_text(wo[wrong][0])} {place}, "
-            f"sample {_text(corners[wrong][0])}",
-            off=PIXELS,
-            kind=Kind.LENGTH_AT_AN_END,
-        )
+        text = f"{_text(wo[wrong][0])} {place}, sample {_text(corners[wrong][0])}"
+        how = {"found": f"direction {text}", "kind": Kind.LENGTH_AT_AN_END}
+        evidence.breach(ENDS, Ends.LENGTH(SAMPLE), off=PIXELS, **how)
     extra = [wi, -wi, wi * [-1, -1, 1], wi * [-1, -1, -1]]
     extra += list(direction(np.radians([0, 89.99, 90, 90.01, 180]), 0.3))
     good = given & np.isfinite(wo).all(axis=1)
@@ -169,17 +164,11 @@ def _check_finite(
         name = "sample" if black is None else "wo"
         harmless = black is not None and black[part].all()
         harmless = harmless and np.isfinite(value[part]).all()
-        mistake = Ends.IMPROPER if off else Ends.ALONG
-        evidence.breach(
-            ENDS,
-            mistake(function, value=text),
-            found=f"{what} {text} {place}, {name} {_text(inputs[part][0])}",
-            size=float(part.sum()) * (1.0 if off else PIXELS),
-            effect=INTERFACE if harmless else "",
-            off=off,
-            of_flux=not off,
-            about=what,
-        )
+        guess = (Ends.IMPROPER if off else Ends.ALONG)(function, value=text)
+        size, effect = float(part.sum()), INTERFACE if harmless else ""
+        how = {"size": size * (1 if off else PIXELS), "effect": effect, "about": what}
+        text = f"{what} {text} {place}, {name} {_text(inputs[part][0])}"
+        evidence.breach(ENDS, guess, found=text, off=off, of_flux=not off, **how)
 
 
 def _text(values: Floats) -> str:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 
-from ...array_types import Floats
 from ...single_precision import BSDF_ROUNDING
 from ..evidence import BIAS, INTERFACE, SAME, Evidence, Question
 from ..kinds import Kind
 from ..mistakes import Function, Mistake
 from ..probe import Probe, numbers, spectral, vectors
-from ..samples import Samples, beyond_rounding, means_differ, ratio_of, unequal
+from ..samples import Samples, beyond_rounding, ratio_of, unequal
 from .answers import lattice
 
 EVAL_PDF = Question(
@@ -71,26 +70,15 @@ def check_lattice(evidence: Evidence, probe: Probe) -> None:
         off, size = np.abs(joint - due), np.maximum(np.abs(joint), np.abs(due))
         limit = np.maximum(MAX_RELATIVE * size, MAX_OF_PEAK * size.max())
         wrong = (off > limit).any(axis=1)
-        if beyond_rounding(wrong) and not _by_chance(evidence, alone, joint, due, wo):
+        chance = alone == "eval" and evidence.by_chance(joint, due, wo)
+        if beyond_rounding(wrong) and not chance:
             light = float(4 * np.pi * off.sum(axis=1)[wrong].sum() / n)
-            evidence.breach(
-                EVAL_PDF,
-                JointFunctions.OTHER_ANSWERS(Function.EVAL_PDF, alone=alone),
-                probe.condition,
-                found=f"integral of the difference {light:.3g} over "
-                f"{wrong.mean():.3g} of all directions",
-                size=float(wrong.mean()),
-                off=min(light, 1.0),
-                kind=Kind.EVAL_PDF_ANYWHERE,
-                about=alone,
-            )
-
-
-def _by_chance(
-    evidence: Evidence, alone: str, joint: Floats, due: Floats, wo: Floats
-) -> bool:
-    """Whether values differ because `eval` draws random numbers."""
-    return alone == "eval" and evidence.noisy and not means_differ(joint, due, wo)
+            share, kind = float(wrong.mean()), Kind.EVAL_PDF_ANYWHERE
+            guess = JointFunctions.OTHER_ANSWERS(Function.EVAL_PDF, alone=alone)
+            text = f"{light:.3g} over {share:.3g} of all directions"
+            how = {"off": min(light, 1.0), "size": share, "kind": kind, "about": alone}
+            text = f"integral of the difference {text}"
+            evidence.breach(EVAL_PDF, guess, probe.condition, found=text, **how)
 
 
 def _check_joint(
@@ -104,16 +92,14 @@ def _check_joint(
         ("eval", value, samples.eval, samples.eval_slack),
         ("pdf", pdf[:, None], samples.pdf[:, None], samples.pdf_slack[:, None]),
     ):
-        function = Function.named(question.name)
-        if _by_chance(evidence, alone, joint, due, samples.wo):
+        if alone == "eval" and evidence.by_chance(joint, due, samples.wo):
             continue
+        function = Function.named(question.name)
         evidence.breach_of_ratio(
             question,
             JointFunctions.OTHER_ANSWERS(function, alone=alone),
-            samples,
-            unequal(joint, due, slack) & usable,
-            ratio_of(joint, due),
-            f"its value over `{alone}`",
+            *(samples, unequal(joint, due, slack) & usable),
+            *(ratio_of(joint, due), f"its value over `{alone}`"),
             effect=effect,
             about=alone,
         )

@@ -47,17 +47,18 @@ def check_first_element(
     loads the plugin there; None if nobody knows how.
     """
     variant = unpolarised(mi.variant())
-    if load is None or variant not in mi.variants():
-        evidence.undecided["first_element"] = (
-            f"it takes a dictionary or a file, to load the plugin in {variant} too"
-        )
+    if load is None:
+        text = f"an object is of one variant: pass what {variant} can load, too, a "
+        evidence.undecided["first_element"] = f"{text}dictionary or a file"
         return
     try:
         with _variant(variant):
             bsdf = load()
             plain = [_ask(bsdf, *own, random) for own in answers]
     except (SettingError, PluginFault, ImportError, RuntimeError) as error:
-        text = f"the plugin is not to be had in {variant}: {error}"
+        text = (
+            f"the plugin cannot be loaded in {variant}, register it there too: {error}"
+        )
         evidence.undecided["first_element"] = text
         return
     for (values, lobes), (value, flux, types) in zip(answers, plain):
@@ -94,7 +95,7 @@ def _ask(
     bsdf: mi.BSDF, values: Matrices, lobes: Lobes, random: Floats
 ) -> tuple[Floats, Floats, Integers]:
     """Values, and flux and types of samples, without polarisation."""
-    probe, n = Probe(bsdf, Condition(0.0, mode=values.mode)), len(random)
+    probe, n = Probe(bsdf, Condition(0.0, mode=values.asked.mode)), len(random)
     probe.uv = mi.Point2f(*map(floats, values.uv.T))
     value = probe.values(values.wo, values.wi)
     bs, weight = probe.sample(*random_numbers(random), wi=vectors(lobes.weights.wi))

@@ -98,13 +98,10 @@ def _check_declared(evidence: Evidence, samples: Samples) -> bool:
     for i in set(components.tolist()):
         own = int(np.bitwise_or.reduce(types[components == i])) & ~int(bsdf.flags(i))
         if own:
-            evidence.breach(
-                DECLARED,
-                Declared.TYPE_OF_COMPONENT(FLAGS | SAMPLE, component=i),
-                samples.condition,
-                statistic=f"{_names(own)} as component {i}",
-                kind=Kind.TYPE_OF_A_COMPONENT,
-            )
+            guess = Declared.TYPE_OF_COMPONENT(FLAGS | SAMPLE, component=i)
+            text, kind = f"{_names(own)} as component {i}", Kind.TYPE_OF_A_COMPONENT
+            at = samples.condition
+            evidence.breach(DECLARED, guess, at, statistic=text, kind=kind)
             return True
     return False
 
@@ -142,14 +139,10 @@ def check_sides(evidence: Evidence) -> None:
         return
     samples = samples_of(bsdf, base, 2**12, (evidence.seed, 32))
     turned = flags & int(all_flags.Anisotropic)
+    given = bsdf.needs_differentials()
     for name, declared, change, kind in (
         ("Anisotropic", turned, _turn, Kind.ANISOTROPIC),
-        (
-            "NeedsDifferentials",
-            bsdf.needs_differentials(),
-            _differentiate,
-            Kind.DIFFERENTIALS,
-        ),
+        ("NeedsDifferentials", given, _differentiate, Kind.DIFFERENTIALS),
     ):
         share = 0.0 if declared else _changed(bsdf, samples, change)
         if share:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -29,8 +30,8 @@ class Frames(Mistake):
     OF_AZIMUTH = """{who} depends on the azimuth of an isotropic surface: its frames are
         turned wrongly"""
     IN_THE_WORLD = "{who} is another matrix where the surface is turned in the world"
-    BASES_OF_WORLD = """{who} takes Stokes bases of directions in the world, where those
-        of local directions are due"""
+    BASES_OF_WORLD = """{who} takes Stokes bases of directions in the world instead of
+        those of local directions"""
     JUMP = """{who} jumps{where}: its frames are turned by an angle whose sign or axis
         changes there, as that to an axis which is not perpendicular to the beam"""
     JUMP_OF_PLANE = """{who} jumps{where}: its elements depend on a plane of incidence,
@@ -83,7 +84,7 @@ class Turned:
     normal: Numbers
     nested: Numbers | None
 
-    def those(self, mask: Flags) -> Turned:
+    def select(self, mask: Flags) -> Turned:
         """Return the pairs that the mask selects."""
         return replace(self, matrices=self.matrices.take(mask), slack=self.slack[mask])
 
@@ -106,7 +107,7 @@ def check_turned(evidence: Evidence, turned: Turned) -> None:
     if not wrong.any():
         return
     worst = int(np.argmax(np.where(wrong, misfit, 0)))
-    mistake = _explained(turned.those(wrong), misfit[wrong])
+    mistake = _explained(turned.select(wrong), misfit[wrong])
     declared = int(evidence.bsdf.flags()) & int(mi.BSDFFlags.Anisotropic)
     light = turned.matrices.light
     same_light = (np.ptp(light, axis=1) <= SAME_LIGHT * light.max(axis=1)).all()
@@ -115,16 +116,12 @@ def check_turned(evidence: Evidence, turned: Turned) -> None:
             "frames", "anisotropic, so that only jumps of its frames are seen"
         )
         return
-    evidence.breach(
-        FRAMES,
-        (mistake or Frames.OF_AZIMUTH)(turned.matrices.function, mode=""),
-        turned.matrices.condition((worst, 0)),
-        found=f"elements over the first change by up to {misfit[worst]:.3g} where both "
-        "directions turn about the normal,",
-        size=float(misfit[worst]),
-        off=float(wrong.mean()),
-        about=str(turned.normal.round(9).tolist()),
-    )
+    guess = (mistake or Frames.OF_AZIMUTH)(turned.matrices.function, mode="")
+    text = f"elements over the first change by up to {misfit[worst]:.3g} where both "
+    text += "directions turn about the normal,"
+    how: dict[str, Any] = {"size": float(misfit[worst]), "off": float(wrong.mean())}
+    how |= {"found": text, "about": str(turned.normal.round(9).tolist())}
+    evidence.breach(FRAMES, guess, turned.matrices.condition((worst, 0)), **how)
 
 
 def _explained(turned: Turned, misfit: Floats) -> Reading | None:
@@ -173,16 +170,11 @@ def check_world(
     mistake = Frames.IN_THE_WORLD
     if off(per_light(world), due).mean() < EXPLAINED * size[wrong].mean():
         mistake = Frames.BASES_OF_WORLD
-    evidence.breach(
-        FRAMES,
-        mistake(here.function),
-        here.condition((worst,)),
-        found=f"elements over the first change by up to {size[worst]:.3g} where the "
-        "surface is turned in the world,",
-        size=float(size[worst]),
-        off=float(wrong.mean()),
-        kind=MatrixKind.WORLD,
-    )
+    text = f"elements over the first change by up to {size[worst]:.3g} where the "
+    text += "surface is turned in the world,"
+    how: dict[str, Any] = {"size": float(size[worst]), "off": float(wrong.mean())}
+    how |= {"found": text, "kind": MatrixKind.WORLD}
+    evidence.breach(FRAMES, mistake(here.function), here.condition((worst,)), **how)
 
 
 # ------------------------------------------------------------------------------- jumps
@@ -232,17 +224,12 @@ def check_jumps(
         [[float(f"{x:.9g}") for x in d] for d in directions[both].astype(np.float32)]
         for directions in (matrices.wi, matrices.wo)
     )
-    evidence.breach(
-        FRAMES,
-        mistake(matrices.function, where=place),
-        condition,
-        statistic=f"elements over the first jump by {size[worst]:.3g} {where or 'at'} "
-        f"({condition}), on {len(size)} of {n_paths} paths over the sphere",
-        size=float(size[worst]) / 2,
-        off=len(size) / n_paths,
-        kind=MatrixKind.JUMP,
-        about=str(list(zip(wi, wo))),
-    )
+    guess = mistake(matrices.function, where=place)
+    text = f"elements over the first jump by {size[worst]:.3g} {where or 'at'} "
+    text += f"({condition}), on {len(size)} of {n_paths} paths over the sphere"
+    how: dict[str, Any] = {"size": float(size[worst]) / 2, "off": len(size) / n_paths}
+    how |= {"kind": MatrixKind.JUMP, "about": str(list(zip(wi, wo)))}
+    evidence.breach(FRAMES, guess, condition, statistic=text, **how)
 
 
 def _changes(matrices: Matrices, kind: Numbers) -> Floats:

@@ -133,34 +133,29 @@ def check_samples(evidence: Evidence, plan: Effort, samples: Samples) -> None:
     closely = may_update_often(evidence, plan)
     if closely and len(names) > 1:
         try:
-            found = _wrong(probe, _Line.through(params, names), wo[:N_ASKED], True)
+            found = _wrong_gradients(
+                probe, _Line.through(params, names), wo[:N_ASKED], True
+            )
             wrong = {guess.functions for guess, _, _ in found}
             # what `eval_pdf` says of a wrong `eval` is no news
             closely = bool(wrong - {EVAL, EVAL_PDF} if EVAL in wrong else wrong)
         except PluginFault:
             closely = True  # by which?
     for name in names:
+        how: dict[str, Any] = {"kind": Kind.GRADIENT, "about": name}
         try:
-            for guess, text, size in _wrong(
+            for guess, text, size in _wrong_gradients(
                 probe, _Line.through(params, [name]), wo, closely
             ):
-                evidence.breach(
-                    PARAMETERS,
-                    guess,
-                    samples.condition,
-                    statistic=f"by {name}: {text} at {samples.condition}",
-                    size=size,
-                    kind=Kind.GRADIENT,
-                    about=name,
-                )
+                text, at = f"by {name}: {text}", samples.condition
+                evidence.breach(PARAMETERS, guess, at, found=text, size=size, **how)
         except PluginFault as fault:
             if fault.function == "parameters_changed":
                 continue  # a step beyond a range
-            how = {"kind": Kind.GRADIENT, "about": name}
             evidence.breach_of_fault(PARAMETERS, fault, **how)
 
 
-def _wrong(
+def _wrong_gradients(
     probe: Probe, line: _Line, wo: Floats, closely: bool
 ) -> Iterator[tuple[Any, str, float]]:
     """Guess, text and size of wrong gradients, one per direction, along a line.
@@ -171,12 +166,13 @@ def _wrong(
     params = mi.traverse(probe.bsdf)
 
     def answers(step: float) -> dict[Function, Floats]:
-        assign(params, line.at(step))
+        if step:  # updates may take long
+            assign(params, line.at(step))
         return {one: _columns(FUNCTIONS[one](probe, vectors(wo)), wo) for one in asked}
 
     along = dr.opaque(mi.Float, 0)
     dr.enable_grad(along)
-    with changed(probe.bsdf, line.at()):  # once there and back: updates may take long
+    with changed(probe.bsdf, line.at()):
         here = answers(0)
         pairs = [(answers(h * line.size), answers(-h * line.size)) for h in STEPS]
         assign(params, line.at(0, along))

@@ -79,7 +79,7 @@ def check_finite(evidence: Evidence, matrices: Matrices, at: str = "") -> None:
             evidence.breach(ANSWERS, guess, matrices, wrong, found=what + at, **how)
 
 
-def check_weights(
+def check_sampled(
     evidence: Evidence, lobes: Lobes, values: Matrices, pdf: Floats, slack: Floats
 ) -> None:
     """Check that weight times pdf is `eval`, and that the pdf is that of `pdf`."""
@@ -103,19 +103,15 @@ def check_weights(
     if not beyond_rounding(wrong):
         return
     suspects: tuple[Function, ...] = (SAMPLE, EVAL)
-    if values.mode == "radiance":
+    if values.asked.mode == "radiance":
         # importance mode tells which answers of `eval` are due
         suspects = (EVAL,) if evidence.of("adjoint") else (SAMPLE,)
     worst = tuple(np.argwhere(wrong)[np.argmax(size[wrong])])
     place = np.unravel_index(np.argmax(difference[worst].max(axis=0)), (4, 4))
-    evidence.breach(
-        SAMPLED_WEIGHT,
-        _difference_guess(flux.take(wrong), values.take(wrong), suspects),
-        flux.by(size),
-        wrong,
-        found=f"weight times pdf is off `eval` by up to {size[worst]:.3g} of the first "
-        f"element, in element {place[0]}{place[1]},",
-    )
+    guess = _difference_guess(flux.take(wrong), values.take(wrong), suspects)
+    text = f"weight times pdf is off `eval` by up to {size[worst]:.3g} of the first "
+    text += f"element, in element {place[0]}{place[1]},"
+    evidence.breach(SAMPLED_WEIGHT, guess, flux.by(size), wrong, found=text)
 
 
 def _difference_guess(

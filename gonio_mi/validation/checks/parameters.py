@@ -103,8 +103,8 @@ def _check_values(
     evidence: Evidence, plan: Effort, sides: Sequence[str], values: dict[str, Any]
 ) -> None:
     """Check that all functions follow a change of all parameters, or of each alone."""
-    others = {name: _other(value) for name, value in values.items()}
-    after = _after(evidence, plan, sides, others)
+    others = {name: _other_value(value) for name, value in values.items()}
+    after = _after_sweep(evidence, plan, sides, others)
     if after is not None and not _biases(after):
         text = "directions after a change of all parameters"
         evidence.test(PARAMETERS, _least_p(after), text)
@@ -112,7 +112,7 @@ def _check_values(
         return
     # together, they may be out of their range
     for name in values:
-        found = _alone(evidence, plan, sides, name, values[name])
+        found = _after_one_change(evidence, plan, sides, name, values[name])
         if found is None:
             continue
         function = _stale(evidence.sweeps[0], found)
@@ -153,7 +153,7 @@ def _check_further(evidence: Evidence, plan: Effort, values: dict[str, Any]) -> 
             alone = may_update_often(evidence, plan)
         else:
             alone = bool(_breaches(after))
-        for name in few(others) if alone else ():
+        for name in evenly_chosen(others) if alone else ():
             found = _asked_after(evidence, {name: others[name]}, identities)
             if found is None or found.of("answers") or not _breaches(found):
                 continue
@@ -174,7 +174,9 @@ def may_update_often(evidence: Evidence, plan: Effort) -> bool:
 
     Plugins in C++ may rebuild tables at each, which takes longer than all else.
     """
-    return type(evidence.bsdf) is not mi.BSDF or plan != Effort.named("quick")
+    plugin = getattr(evidence.bsdf, "phase_function", evidence.bsdf)
+    in_python = type(plugin) not in (mi.BSDF, mi.PhaseFunction)
+    return in_python or plan != Effort.named("quick")
 
 
 Answers = Callable[[], dict[str, Floats]]
@@ -228,9 +230,9 @@ def _check_updates(
     Neither at first, nor after one parameter got another value, in its range or not.
     Functions that answer `by_chance` are others anyway.
     """
-    names = few(values) if len(values) > 1 else ()
+    names = evenly_chosen(values) if len(values) > 1 else ()
     for name in ("", *names):
-        others = {name: _other(values[name])} if name else {}
+        others = {name: _other_value(values[name])} if name else {}
         try:
             with changed(evidence.bsdf, others):
                 before = answers_of()
@@ -263,12 +265,12 @@ def _changeable(bsdf: mi.BSDF) -> dict[str, Any]:
     return {k: x for k, x in known.items() if np.isfinite(np.array(x)).all()}
 
 
-def few(values: dict[str, Any]) -> list[str]:
+def evenly_chosen(values: dict[str, Any]) -> list[str]:
     """Names of at most `MAX_ALONE` of them, evenly chosen."""
     return list(values)[:: -(-len(values) // MAX_ALONE)]
 
 
-def _other(value: Any, step: float | None = None) -> Any:
+def _other_value(value: Any, step: float | None = None) -> Any:
     """Another value, of a relative step; without it a large one in usual ranges."""
     x = np.array(value, dtype=float)
     spread, size = turns(x), np.abs(x).max(initial=0)
@@ -301,7 +303,7 @@ def turns(x: Floats) -> Floats:
     return np.reshape(np.arange(x.size) * GOLDEN % 1, x.shape)
 
 
-def _after(
+def _after_sweep(
     evidence: Evidence, plan: Effort, sides: Sequence[str], values: dict[str, Any]
 ) -> Evidence | None:
     """Evidence after a change of parameters; None if the plugin refuses a value."""
@@ -325,7 +327,7 @@ def _asked_after(
     return found
 
 
-def _alone(
+def _after_one_change(
     evidence: Evidence, plan: Effort, sides: Sequence[str], name: str, value: Any
 ) -> Evidence | None:
     """What is wrong after any change of one parameter; None if nothing is.
@@ -335,7 +337,7 @@ def _alone(
     """
     worst = None
     for step in (None, NEAR, -NEAR):
-        found = _after(evidence, plan, sides, {name: _other(value, step)})
+        found = _after_sweep(evidence, plan, sides, {name: _other_value(value, step)})
         if found is None or found.of("answers"):
             continue
         if not _biases(found):
@@ -348,8 +350,7 @@ def _alone(
 
 def _least_p(found: Evidence) -> float:
     """Probability that chance makes the worst of all tests as bad as it is."""
-    tests = found.tests
-    return min(1.0, len(tests) * min((test.p for test in tests), default=1.0))
+    return min([1.0, *(len(found.tests) * test.p for test in found.tests)])
 
 
 def _biases(found: Evidence) -> bool:

@@ -65,15 +65,11 @@ def check_matrices(evidence: Evidence, matrices: Matrices, asked: Flags) -> None
     wrong = least < -ROUNDING
     if not beyond_rounding(wrong):
         return
-    evidence.breach(
-        REALISABLE,
-        _guess(chosen.function, m[wrong]),
-        chosen.by(-least),
-        wrong,
-        found="an eigenvalue of the coherency matrix is down to "
-        f"{least.min():.3g} of their sum, and negative",
-        size=float(-least.min()),
-    )
+    size, guess = float(-least.min()), _guess(chosen.function, m[wrong])
+    text = "an eigenvalue of the coherency matrix is down to "
+    text += f"{-size:.3g} of their sum, and negative"
+    at = chosen.by(-least), wrong
+    evidence.breach(REALISABLE, guess, *at, found=text, size=size)
 
 
 def _guess(function: Function, m: Floats) -> Guess:

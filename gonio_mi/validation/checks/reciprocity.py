@@ -33,7 +33,7 @@ class Reciprocity(Mistake):
     ONE_WAY = "{who} lets light go one way only"
     ASYMMETRIC = "{who} is not symmetric in wi and wo, in a Fresnel term perhaps"
     FACTOR = """{who} transmits {factor:.4g} times what it does the other way, where
-        eta^2 is due"""
+        eta^2 is expected"""
     IN_TRANSMISSION = """{who} is not symmetric in wi and wo, apart from eta^2, in
         transmission"""
     OF_A_LOBE = "{who} gives a discrete lobe another share than its reverse"
@@ -129,14 +129,14 @@ def check_ways(evidence: Evidence, ways: BothWays) -> None:
     wrong = unequal(ways.forward, due, slack) & ways.smooth
     if beyond_rounding(wrong):
         text = ratio_text(ways.forward, due, wrong, samples)
-        if np.all(_declared(evidence.bsdf, ways)[wrong]):
+        if np.all(_declared_asymmetric(evidence.bsdf, ways)[wrong]):
             evidence.declared["reciprocity"] = f"{text}, declared as NonSymmetric"
         else:
             how = {"statistic": text, "off": None}
             evidence.breach(RECIPROCITY, _guess(ways, wrong), samples, wrong, **how)
 
 
-def _declared(bsdf: mi.BSDF, ways: BothWays) -> Flags:
+def _declared_asymmetric(bsdf: mi.BSDF, ways: BothWays) -> Flags:
     """Mask of samples on whose side a NonSymmetric component explains asymmetry.
 
     In transmission with another eta than 1 the flag stands for eta^2 alone.

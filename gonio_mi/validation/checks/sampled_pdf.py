@@ -24,11 +24,6 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
     if not lit.any():
         return
     wrong = unequal(samples.sampled_pdf, samples.pdf, samples.pdf_slack) & lit
-    evidence.breach_of_ratio(
-        SAMPLED_PDF,
-        SampledPdf.OTHER(SAMPLE),
-        samples,
-        wrong,
-        ratio_of(samples.sampled_pdf, samples.pdf),
-        "its pdf over `pdf`",
-    )
+    found = ratio_of(samples.sampled_pdf, samples.pdf), "its pdf over `pdf`"
+    guess = SampledPdf.OTHER(SAMPLE)
+    evidence.breach_of_ratio(SAMPLED_PDF, guess, samples, wrong, *found)

@@ -51,18 +51,14 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
     ]
     lit_alike = samples.condition.wi.ndim == 1
     if lit_alike and beyond_rounding(wrong[1]) and wrong[1].mean() < MAX_SEARCHED:
-        few = samples.those(wrong[1])
+        few = samples.select(wrong[1])
         wrong[1][wrong[1]] = _unequal(few, *closer_slacks(evidence.bsdf, few))[1]
     if all(beyond_rounding(one) for one in wrong):
-        evidence.breach_of_ratio(
-            SAMPLED_WEIGHT,
-            SampledWeight.OTHER(SAMPLE),
-            samples,
-            wrong[1],
-            ratio_of(_products(samples)[1], samples.eval),
-            "weight times pdf over `eval`",
-            effect="" if _is_biased(samples, lit) else INTERFACE,
-        )
+        effect = "" if _is_biased(samples, lit) else INTERFACE
+        ratio = ratio_of(_products(samples)[1], samples.eval)
+        found = ratio, "weight times pdf over `eval`"
+        guess, at = SampledWeight.OTHER(SAMPLE), (samples, wrong[1])
+        evidence.breach_of_ratio(SAMPLED_WEIGHT, guess, *at, *found, effect=effect)
 
 
 def _products(samples: Samples) -> list[Floats]:
@@ -83,6 +79,6 @@ def _unequal(samples: Samples, eval_slack: Floats, pdf_slack: Floats) -> list[Fl
 def _is_biased(samples: Samples, lit: Flags) -> bool:
     """Whether mean weights differ from those of ``eval`` over ``pdf``."""
     usable = lit & (samples.pdf > 0) & np.isfinite(samples.weight).all(axis=1)
-    few = samples.those(usable)
+    few = samples.select(usable)
     due = few.eval / few.pdf[:, None]
     return len(due) < 2 or means_differ(few.weight, due, few.wo)

@@ -62,19 +62,14 @@ def check_maps(evidence: Evidence, maps: FourMaps) -> None:
     used, unused = maps.pdf.sum(), maps.due.unused.values.sum()
     slack = max(maps.pdf_sum_bound, SUM_ERROR) + maps.due.unused.sum_bound
     if used + unused > 1 + slack:
-        harmless = used <= 1 + slack
-        dark = f", {unused:.4g} of it where `eval` is zero" if harmless else ""
-        evidence.breach(
-            SAMPLING,
-            Sampling.MORE_THAN_1(PDF, mass=used + unused, dark=dark),
-            maps.condition,
-            found=f"{used + unused:.5g}",
-            size=used + unused - 1,
-            off=min(used + unused - 1, 1.0),
-            of_flux=True,
-            effect=INTERFACE if harmless else "",
-            kind=Kind.MASS,
-        )
+        mass, how = used + unused, {"kind": Kind.MASS, "of_flux": True}
+        dark = ""
+        if used <= 1 + slack:
+            how["effect"] = INTERFACE
+            dark = f", {unused:.4g} of it where `eval` is zero"
+        guess = Sampling.MORE_THAN_1(PDF, mass=mass, dark=dark)
+        how |= {"found": f"{mass:.5g}", "size": mass - 1, "off": min(mass - 1, 1.0)}
+        evidence.breach(SAMPLING, guess, maps.condition, **how)
 
 
 def check_unsampled_side(evidence: Evidence, condition: Condition) -> None:
@@ -85,15 +80,9 @@ def check_unsampled_side(evidence: Evidence, condition: Condition) -> None:
     density = Probe(evidence.bsdf, condition).densities(lattice())
     mass = 4 * np.pi * float(np.nan_to_num(density, nan=0).mean())
     if mass > 0:
-        evidence.breach(
-            SAMPLING,
-            Sampling.DARK_SIDE(PDF),
-            condition,
-            found=f"`pdf` integrates to {mass:.3g}",
-            size=mass,
-            effect=INTERFACE,
-            kind=Kind.MASS_OF_A_DARK_SIDE,
-        )
+        how = {"found": f"`pdf` integrates to {mass:.3g}", "size": mass}
+        how |= {"effect": INTERFACE, "kind": Kind.MASS_OF_A_DARK_SIDE}
+        evidence.breach(SAMPLING, Sampling.DARK_SIDE(PDF), condition, **how)
 
 
 def check_sweep(evidence: Evidence, sweep: Sweep, key: tuple[int, ...]) -> None:
@@ -111,6 +100,8 @@ def check_sweep(evidence: Evidence, sweep: Sweep, key: tuple[int, ...]) -> None:
     asked = np.where(given[:, None], drawn, sweep.wi)
     pdf, lit = _densities(probe, asked, given)
     pdf_even, _ = _densities(probe, even, np.ones(n, dtype=bool))
+    if not (lit.any() or pdf_even.any()):
+        return
     u = 1 / (4 * np.pi if _transmits(evidence.bsdf) else 2 * np.pi)
     terms = [lit * u / (pdf + u), pdf_even / (pdf_even + u)]
     found: list[tuple[float, Flags]] = []
@@ -134,13 +125,13 @@ def check_sweep(evidence: Evidence, sweep: Sweep, key: tuple[int, ...]) -> None:
     off = abs(mass - counted) / max(mass, counted, 1e-9) * float(own.mean())
     guess = None
     if p < MAX_P:
-        function = _unbalanced(mass, counted, max(MAX_SCORE * std_err, SUM_ERROR))
+        function = _guilty_of_mass(mass, counted, max(MAX_SCORE * std_err, SUM_ERROR))
         guess = Sampling.OTHER_PROBABILITY(function, sums=sums)
     text = f"worst z {z:+.3g} of {n_scores} bands and sectors of incidence: {place}"
     evidence.test(SAMPLING, p, text, sweep.middle(own), off=off, guess=guess)
 
 
-def _unbalanced(mass: float, counted: float, slack: float) -> Function:
+def _guilty_of_mass(mass: float, counted: float, slack: float) -> Function:
     """Function that is at fault, by the integral of ``pdf`` and the sampled mass."""
     complete = abs(mass - 1) < slack
     if mass > 1 + slack or (counted > 1 - SUM_ERROR and not complete):

@@ -59,14 +59,9 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
     if beyond_rounding(dark) and not evidence.noisy:
         both = beyond_rounding(dark & (samples.pdf == 0))
         part = f"{100 * dark.sum() / usable.sum():.3g} % of the samples with light"
-        evidence.breach(
-            WEIGHTS,
-            (Weights.DARK_AND_IMPOSSIBLE if both else Weights.DARK)(EVAL),
-            samples,
-            dark,
-            statistic=f"{part} at {samples.condition}",
-            size=1 + float(dark.mean()),
-        )
+        guess = (Weights.DARK_AND_IMPOSSIBLE if both else Weights.DARK)(EVAL)
+        text, size = f"{part} at {samples.condition}", 1 + float(dark.mean())
+        evidence.breach(WEIGHTS, guess, samples, dark, statistic=text, size=size)
 
 
 def check_unsampled_side(evidence: Evidence, condition: Condition) -> bool:
@@ -74,15 +69,9 @@ def check_unsampled_side(evidence: Evidence, condition: Condition) -> bool:
     value = np.nan_to_num(Probe(evidence.bsdf, condition).values(lattice()), nan=0)
     light = 4 * np.pi * float(value.mean(axis=0).max())
     if light > 0:
-        evidence.breach(
-            WEIGHTS,
-            Weights.DARK_SIDE(EVAL),
-            condition,
-            found=f"{light:.3g} of the light",
-            size=light,
-            off=min(light, 1.0),
-            kind=Kind.LIGHT_OF_A_DARK_SIDE,
-        )
+        how = {"size": light, "off": min(light, 1.0), "kind": Kind.LIGHT_OF_A_DARK_SIDE}
+        how["found"] = f"{light:.3g} of the light"
+        evidence.breach(WEIGHTS, Weights.DARK_SIDE(EVAL), condition, **how)
     return light == 0
 
 
@@ -103,15 +92,10 @@ def check_maps(evidence: Evidence, maps: FourMaps) -> None:
         mistake, function = Weights.SIDE_NOT_SAMPLED, EVAL
     bound = max(due.unreached.sum_bound, SUM_ERROR * max(flux, 1))
     if lost > bound and due.least > UNDERFLOW:
-        evidence.breach(
-            WEIGHTS,
-            mistake(function, part=lost / flux),
-            maps.condition,
-            found=f"{lost / flux:.3g} of the light",
-            size=lost,
-            off=min(lost / flux, 1.0),
-            of_flux=True,
-        )
+        part = lost / flux
+        how = {"size": lost, "off": min(part, 1.0), "of_flux": True}
+        guess, text = mistake(function, part=part), f"{part:.3g} of the light"
+        evidence.breach(WEIGHTS, guess, maps.condition, found=text, **how)
     elif maps.judged < MIN_JUDGED:
         evidence.downgraded["weights"] = NOISE
         evidence.undecided["weights"] = (

@@ -13,8 +13,8 @@ examples:
 
 Exit code 3: something that --allow does not name biases images, by 1e-4 of the flux at
 least, or breaks integrators (with --strict: anything that fails). Exit code 4:
-undecided, for nothing was lit, no integral converged, or a polarised plugin could not
-be loaded in the unpolarised variant.
+undecided, for no light was scattered, no integral converged, or a polarised plugin
+could not be loaded in the unpolarised variant.
 """
 
 import argparse

@@ -114,21 +114,14 @@ def phase_functions() -> Iterator[list[dict[str, Any]]]:
     values = ("0.5, 1.0, 1.5", "1.0, 0.2, 1.0", "0.1, 0.1, 3.0")
     flakes = ((1, 1, 1, 0, 0, 0), (0.05, 1, 1, 0, 0, 0), (0.1, 1, 0.3, 0.1, 0, 0))
     first = {"type": "isotropic"}
+    nearest: dict[str, Any] = {"type": "gridvolume", "filter_type": "nearest"}
     sets: dict[str, list[dict[str, Any]]] = {
         "isotropic": [{}],
         "hg": lobes,
         "rayleigh": [{}],
         "tabphase": [{"values": one} for one in values],
         "sggx": [
-            {
-                "S": {
-                    "type": "gridvolume",
-                    "filter_type": "nearest",
-                    "grid": mi.VolumeGrid(
-                        np.array(one, np.float32).reshape(1, 1, 1, 6)
-                    ),
-                }
-            }
+            {"S": nearest | {"grid": mi.VolumeGrid(np.array([[[one]]], np.float32))}}
             for one in flakes
         ],
         "blendphase": [
