@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import product
 
 import mitsuba as mi
@@ -55,24 +56,33 @@ NUMBERS = (0.0, 0.5, LAST)
 LIMITS = dict.fromkeys(("alpha", "alpha_u", "alpha_v", "roughness"), (1e-3, 1.0))
 
 
-def _check_ends(evidence: Evidence, where: str = "") -> None:
+# Incident directions: at all angles, and with a cosine of exactly 0, which none has.
+CONDITIONS = [
+    *(Condition(theta_i, phi_i) for theta_i, phi_i in product(ANGLES, (0.0, 25.0))),
+    Condition(90.0, lit=(1.0, 0.0, 0.0)),
+]
+
+
+def _check_ends(
+    evidence: Evidence, where: str = "", conditions: Sequence[Condition] = CONDITIONS
+) -> None:
     """Check that all functions are finite and at least 0 at the ends of their domain.
 
     They are asked for sampled directions, and at the normal, at the horizon, in the
-    mirror direction and straight on.
+    mirror direction and straight on: together, or where that raises one by one.
     """
-    angles = product(ANGLES, (0.0, 25.0))
-    conditions = [Condition(theta_i, phi_i) for theta_i, phi_i in angles]
-    # a cosine of exactly 0, which no angle has
-    conditions.append(Condition(90.0, lit=(1.0, 0.0, 0.0)))
-    for condition in conditions:
-        place = f"at {condition}{where}"
-        try:
-            _check_condition(evidence, Probe(evidence.bsdf, condition), place)
-        except PluginFault as fault:  # elsewhere it answers
-            guess = Ends.RAISES(Function.named(fault.function), what=fault.what)
-            how = {"off": PIXELS, "kind": Kind.RAISES}
-            evidence.breach(ENDS, guess, found=place, **how)
+    known = len(evidence.breaches)
+    try:
+        _check_conditions(evidence, where, conditions)
+    except PluginFault as fault:  # elsewhere it answers
+        if len(conditions) > 1:
+            del evidence.breaches[known:]
+            for one in conditions:
+                _check_ends(evidence, where, [one])
+            return
+        guess = Ends.RAISES(Function.named(fault.function), what=fault.what)
+        how = {"off": PIXELS, "kind": Kind.RAISES}
+        evidence.breach(ENDS, guess, found=f"at {conditions[0]}{where}", **how)
 
 
 @ENDS.asks("parameters")
@@ -97,15 +107,57 @@ def check_bsdf(evidence: Evidence) -> None:
             _check_ends(evidence, f", {text}")
 
 
-def _check_condition(evidence: Evidence, probe: Probe, place: str) -> None:
-    """Check one incident direction."""
+def _check_conditions(
+    evidence: Evidence, where: str, conditions: Sequence[Condition]
+) -> None:
+    """Check some incident directions, of which all are asked before one is judged."""
     corners = np.array(list(product(NUMBERS, repeat=3)), dtype=np.float32)
-    wi = probe.condition.wi
-    bs, sampled = probe.sample(*random_numbers(corners))
-    n = len(corners)
-    weight, wo, pdf = spectral(sampled, n), spectral(bs.wo, n), numbers(bs.pdf, n)
+    wi = np.array([one.wi for one in conditions])
+    m, n = len(wi), len(wi) * len(corners)
+    probe = Probe(evidence.bsdf, conditions[0])
+    probe.wi = vectors(np.repeat(wi, len(corners), axis=0))
+    bs, weight = probe.sample(*random_numbers(np.tile(corners, (m, 1))))
+    answers = spectral(weight, n), spectral(bs.wo, n), numbers(bs.pdf, n)
+    sampled = [*zip(*(np.split(x, m) for x in answers))]
+    directions = [_directions(*one) for one in zip(wi, sampled)]
+    wo, lengths = np.concatenate(directions), [*map(len, directions)]
+    probe.wi, n = vectors(np.repeat(wi, lengths, axis=0)), len(wo)
+    joint = probe.eval_pdf(vectors(wo))
+    answers = (
+        probe.values(wo),
+        probe.densities(wo),
+        spectral(joint[0], n),
+        numbers(joint[1], n).astype(float),
+    )
+    borders = np.cumsum(lengths)[:-1]
+    towards = [*zip(*(np.split(x, borders) for x in (wo, *answers)))]
+    for k, condition in enumerate(conditions):
+        own = evidence, f"at {condition}{where}", wi[k]
+        _check_sampled(*own, corners, *sampled[k])
+        _check_answers(*own, *towards[k])
+
+
+def _directions(wi: Floats, sampled: Sequence[Floats]) -> Floats:
+    """Outgoing directions in which functions are asked, sampled ones first."""
+    weight, wo, _ = sampled
+    good = (weight != 0).any(axis=1) & np.isfinite(wo).all(axis=1)
+    extra = [wi, -wi, wi * [-1, -1, 1], wi * [-1, -1, -1]]
+    extra += list(direction(np.radians([0, 89.99, 90, 90.01, 180]), 0.3))
+    return np.concatenate([wo[good], extra])
+
+
+def _check_sampled(
+    evidence: Evidence,
+    place: str,
+    wi: Floats,
+    corners: Floats,
+    weight: Floats,
+    wo: Floats,
+    pdf: Numbers,
+) -> None:
+    """Check samples of random numbers at their ends."""
     given = (weight != 0).any(axis=1)
-    along = np.full(n, abs(wi[2]) < GRAZING)
+    along = np.full(len(wo), abs(wi[2]) < GRAZING)
     _check_finite(evidence, SAMPLE, "weight", weight, corners, place, along)
     found = pdf[given], corners[given], place, along[given]
     _check_finite(evidence, SAMPLE, "pdf", *found)
@@ -120,14 +172,19 @@ def _check_condition(evidence: Evidence, probe: Probe, place: str) -> None:
             off=PIXELS,
             kind=Kind.LENGTH_AT_AN_END,
         )
-    extra = [wi, -wi, wi * [-1, -1, 1], wi * [-1, -1, -1]]
-    extra += list(direction(np.radians([0, 89.99, 90, 90.01, 180]), 0.3))
-    good = given & np.isfinite(wo).all(axis=1)
-    directions = np.concatenate([wo[good], extra])
-    n = len(directions)
-    joint, values = probe.eval_pdf(vectors(directions)), probe.values(directions)
-    black = (values == 0).all(axis=1)
-    densities = [probe.densities(directions), numbers(joint[1], n).astype(float)]
+
+
+def _check_answers(
+    evidence: Evidence,
+    place: str,
+    wi: Floats,
+    directions: Floats,
+    values: Floats,
+    density: Floats,
+    *joint: Floats,
+) -> None:
+    """Check values and densities, alone and of ``eval_pdf``."""
+    black, densities = (values == 0).all(axis=1), [density, joint[1]]
     along = np.minimum(np.abs(directions[:, 2]), abs(wi[2])) < GRAZING
     if np.isnan([x[black & along] for x in densities]).any():
         # and dark: Mitsuba's own do it
@@ -138,7 +195,7 @@ def _check_condition(evidence: Evidence, probe: Probe, place: str) -> None:
     for function, value in (
         (EVAL, values),
         (PDF, densities[0]),
-        (Function.EVAL_PDF, spectral(joint[0], n)),
+        (Function.EVAL_PDF, joint[0]),
         (Function.EVAL_PDF, densities[1]),
     ):
         own = value, directions, place, along, black
