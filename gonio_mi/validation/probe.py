@@ -353,15 +353,15 @@ def random_numbers(rows: Numbers) -> tuple[mi.Float, mi.Point2f]:
     return first, mi.Point2f(*second)
 
 
-def floats(values: Numbers) -> mi.Float:
-    """Mitsuba's numbers from an array, copied to memory of Dr.Jit.
+def floats(*parts: Numbers) -> mi.Float:
+    """Mitsuba's numbers from arrays, copied one after another to memory of Dr.Jit.
 
     NumPy's memory may begin anywhere, and reading from there needs another kernel.
     """
     if not mi.variant().startswith("llvm"):  # NumPy would write into a copy
-        return mi.Float(np.ascontiguousarray(values, np.float32))
-    found = dr.empty(mi.Float, len(values))
-    found.numpy()[:] = values
+        return mi.Float(np.concatenate(parts, dtype=np.float32))
+    found = dr.empty(mi.Float, sum(map(len, parts)))
+    np.concatenate(parts, out=found.numpy())
     return found
 
 

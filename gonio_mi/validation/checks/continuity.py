@@ -93,7 +93,7 @@ def check_cutoffs(evidence: Evidence, condition: Condition) -> None:
     random = dr.tile(uniform(n, (evidence.seed, 51)), len(COSINES))
     theta = np.repeat(np.arccos(COSINES), n)
     near = vectors(direction(theta, np.tile(azimuths, len(COSINES))) * [1, 1, face])
-    bs, weight = probe.sample(*random, wi=near)
+    bs, weight = probe.sample(random[0], random[1], wi=near)
     far = mi.Vector3f(bs.wo)
     arriving, back = probe.eval(far, wi=near), probe.eval(near, wi=far)
     each = [

@@ -117,8 +117,8 @@ def _check_conditions(
     probe = Probe(evidence.bsdf, conditions[0])
     probe.wi = vectors(np.repeat(wi, len(corners), axis=0))
     bs, weight = probe.sample(*random_numbers(np.tile(corners, (m, 1))))
-    answers = spectral(weight, n), spectral(bs.wo, n), numbers(bs.pdf, n)
-    sampled = [*zip(*(np.split(x, m) for x in answers))]
+    drawn = spectral(weight, n), spectral(bs.wo, n), numbers(bs.pdf, n)
+    sampled = [*zip(*(np.split(x, m) for x in drawn))]
     directions = [_directions(*one) for one in zip(wi, sampled)]
     wo, lengths = np.concatenate(directions), [*map(len, directions)]
     probe.wi, n = vectors(np.repeat(wi, lengths, axis=0)), len(wo)
@@ -150,7 +150,7 @@ def _check_sampled(
     evidence: Evidence,
     place: str,
     wi: Floats,
-    corners: Floats,
+    corners: Numbers,
     weight: Floats,
     wo: Floats,
     pdf: Numbers,

@@ -113,10 +113,14 @@ def check_sweep(evidence: Evidence, sweep: Sweep, key: tuple[int, ...]) -> None:
     pdf_even, _ = _densities(probe, even, np.ones(n, dtype=bool))
     u = 1 / (4 * np.pi if _transmits(evidence.bsdf) else 2 * np.pi)
     terms = [lit * u / (pdf + u), pdf_even / (pdf_even + u)]
+    weighed = [
+        [_powers(term * weight) for weight in _weighings(sweep, wo)]
+        for term, wo in zip(terms, (drawn, even))
+    ]
     found: list[tuple[float, Flags]] = []
     for cells in _cells(sweep):
-        for first, second in zip(_weighings(sweep, drawn), _weighings(sweep, even)):
-            scores = _score_by_cell(cells, terms[0] * first, terms[1] * second)
+        for both in zip(*weighed):
+            scores = _score_by_cell(cells, *both)
             k = int(np.abs(scores).argmax())
             found.append((float(scores[k]), cells == k))
     z, own = max(found, key=lambda one: abs(one[0]))
@@ -192,22 +196,31 @@ def _weighings(sweep: Sweep, wo: Floats) -> list[Floats]:
     return [np.ones(sweep.n), np.abs(wo[:, 2]), along, across]
 
 
-def _score_by_cell(cells: Integers, first: Floats, second: Floats) -> Floats:
-    """Normal score of the difference of two sums in each cell; 0 of too few terms."""
+def _powers(x: Floats) -> tuple[Floats, ...]:
+    """Terms, their squares, cubes and sizes."""
+    x = np.nan_to_num(x)
+    return x, x * x, x * x * x, np.abs(x)
+
+
+def _score_by_cell(
+    cells: Integers, first: tuple[Floats, ...], second: tuple[Floats, ...]
+) -> Floats:
+    """Normal score of the difference of two sums in each cell; 0 of too few terms.
+
+    Of each sum, the :func:`_powers` of its terms.
+    """
     m = 2 * N_CELLS
     n = np.maximum(np.bincount(cells, minlength=m), 1)
     difference, variance, third = np.zeros((3, m))
     enough = np.ones(m, dtype=bool)
     for sign, x in ((1, first), (-1, second)):
-        x = np.nan_to_num(x)
-        total, squares, cubes = (
-            np.bincount(cells, power, minlength=m) for power in (x, x * x, x * x * x)
+        total, squares, cubes, size = (
+            np.bincount(cells, power, minlength=m) for power in x
         )
         mean = total / n
         difference += sign * total
         variance += squares - n * mean**2
         third += sign * (cubes - 3 * mean * squares + 2 * n * mean**3)
-        size = np.bincount(cells, np.abs(x), minlength=m)
         # equal terms vary by rounding alone
         variance += (BSDF_ROUNDING * size) ** 2
         enough &= size**2 > MIN_TERMS * squares
