@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -90,17 +89,17 @@ def check_cutoffs(evidence: Evidence, condition: Condition) -> None:
     azimuths = np.repeat(azimuths, N_SAMPLES)
     face = np.sign(condition.wi[2])
     probe = Probe(evidence.bsdf, condition)
-    random = dr.tile(uniform(n, (evidence.seed, 51)), len(COSINES))
-    theta = np.repeat(np.arccos(COSINES), n)
-    near = vectors(direction(theta, np.tile(azimuths, len(COSINES))) * [1, 1, face])
-    bs, weight = probe.sample(random[0], random[1], wi=near)
-    far = mi.Vector3f(bs.wo)
-    arriving, back = probe.eval(far, wi=near), probe.eval(near, wi=far)
-    each = [
-        np.nan_to_num(spectral(x, len(theta))).reshape(len(COSINES), -1).max(axis=1)
-        for x in (weight, arriving, back)
-    ]
-    lit = {"wi": np.maximum(*each[:2]).tolist(), "wo": each[2].tolist()}
+    random = uniform(n, (evidence.seed, 51))
+    lit: dict[str, list[float]] = {"wi": [], "wo": []}
+    for cosine in COSINES:
+        ring = direction(np.full(n, np.arccos(cosine)), azimuths) * [1, 1, face]
+        near = vectors(ring)
+        bs, weight = probe.sample(*random, wi=near)
+        far = mi.Vector3f(bs.wo)
+        there = [spectral(x, n) for x in (weight, probe.eval(far, wi=near))]
+        lit["wi"].append(max(float(np.nan_to_num(x).max()) for x in there))
+        back = spectral(probe.eval(near, wi=far), n)
+        lit["wo"].append(float(np.nan_to_num(back).max()))
     for name, ones in lit.items():
         if not any(ones) or ones[-1]:
             continue
