@@ -43,7 +43,7 @@ def check_compiled(
         # the second time, objects that are made once exist
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             dr.kernel_history_clear()
-            samples_of(evidence.bsdf, condition, n, key, compared=False)
+            samples_of(evidence.bsdf, condition, n, key)
             kernels = [k for k in dr.kernel_history() if "cache_hit" in k]
             dr.kernel_history_clear()
         n_new = sum(not k["cache_hit"] or bool(k["cache_disk"]) for k in kernels)

@@ -267,7 +267,7 @@ def check_roulette(evidence: Evidence) -> None:
 def _is_roulette(evidence: Evidence, maps: FourMaps) -> bool:
     """Whether the mean of weight times pdf over ``eval`` is the integral of ``pdf``."""
     key = (evidence.seed, 2, 73)
-    samples = samples_of(evidence.bsdf, maps.condition, N_ROULETTE, key)
+    samples = samples_of(evidence.bsdf, maps.condition, N_ROULETTE, key, False)
     lit = samples.usable & (samples.eval > 0).any(axis=1)
     ratio = np.zeros(samples.n)
     over = samples.weight[lit].sum(axis=1) * samples.pdf[lit]
