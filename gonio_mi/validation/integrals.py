@@ -162,9 +162,9 @@ def _lattice(
             break
         values = _lattice_values(probe, subdivision, limits, refined, level)
         if means is None:
-            means = np.zeros((m, SHIFTS, values.shape[-1]))
-        means[refined] = values.mean(axis=2) * area[refined]
-        density = values[..., 0] + values[..., 5]
+            means = np.zeros((m, SHIFTS, len(values)))
+        means[refined] = values.mean(axis=-1).transpose(1, 2, 0) * area[refined]
+        density = values[0] + values[5]
         largest[refined] = density.max(axis=(1, 2))
         least = min(least, density.min(initial=np.inf, where=density > 0))
         rough = _rough(means, totals, limits) | (totals.peaks > MISSED_PEAK * largest)
@@ -180,7 +180,7 @@ def _lattice(
     for level, patches in enumerate(stopped[:-1]):
         if patches.size:
             values = _lattice_values(probe, subdivision, limits, patches, level, 1)
-            means[patches] = values.mean(axis=2) * area[patches]
+            means[patches] = values.mean(axis=-1).transpose(1, 2, 0) * area[patches]
     # how well the sum is known, it says itself
     return Expected.of(_mean_integrals(means), least)
 
@@ -230,7 +230,7 @@ def _lattice_values(
 ) -> Floats:
     """Values of :func:`_finite_values` at shifted lattices on some patches.
 
-    Uniform over solid angle; shape (len(patches), SHIFTS, n_points, functions). Another
+    Uniform over solid angle; shape (functions, len(patches), SHIFTS, n_points). Another
     `repeat` has other shifts.
     """
     n = len(patches) * SHIFTS * LATTICES[level][0]
@@ -241,10 +241,10 @@ def _lattice_values(
     wo = mi.Vector3f(*map(floats, (x, y, z if probe.condition.side == "front" else -z)))
     limit = floats(np.repeat(limits[patches], n // len(patches)))
     found = _finite_values(probe, wo, limit)
-    values = np.empty((n, len(found)))
-    for column, one in zip(values.T, found):
-        column[:] = one.numpy()
-    return values.reshape(len(patches), SHIFTS, -1, len(found))
+    values = np.empty((len(found), n))
+    for row, one in zip(values, found):
+        row[:] = one.numpy()
+    return values.reshape(len(found), len(patches), SHIFTS, -1)
 
 
 @lru_cache(2)
