@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from itertools import product
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -69,20 +70,40 @@ def _check_ends(
     """Check that all functions are finite and at least 0 at the ends of their domain.
 
     They are asked for sampled directions, and at the normal, at the horizon, in the
-    mirror direction and straight on: together, or where that raises one by one.
+    mirror direction and straight on: of all conditions together, or, where that raises,
+    of one after the other.
     """
-    known = len(evidence.breaches)
+    probe, wi = Probe(evidence.bsdf, conditions[0]), [one.wi for one in conditions]
+    checks = [_check(evidence, one.wi, f"at {one}{where}") for one in conditions]
+    asked: Any = [next(check) for check in checks]
     try:
-        _check_conditions(evidence, where, conditions)
-    except PluginFault as fault:  # elsewhere it answers
+        for ask in (_samples, _answers):
+            lengths = [*map(len, asked)]
+            probe.wi = vectors(np.repeat(wi, lengths, axis=0))
+            answers = ask(probe, np.concatenate(asked))
+            each = zip(*(np.split(x, np.cumsum(lengths)[:-1]) for x in answers))
+            asked = [check.send(one) for check, one in zip(checks, each)]
+    except PluginFault as fault:
         if len(conditions) > 1:
-            del evidence.breaches[known:]
             for one in conditions:
                 _check_ends(evidence, where, [one])
             return
         guess = Ends.RAISES(Function.named(fault.function), what=fault.what)
         how = {"off": PIXELS, "kind": Kind.RAISES}
         evidence.breach(ENDS, guess, found=f"at {conditions[0]}{where}", **how)
+
+
+def _samples(probe: Probe, corners: Floats) -> tuple[Numbers, ...]:
+    """Weights, directions and densities of samples."""
+    (bs, weight), n = probe.sample(*random_numbers(corners)), len(corners)
+    return spectral(weight, n), spectral(bs.wo, n), numbers(bs.pdf, n)
+
+
+def _answers(probe: Probe, wo: Floats) -> tuple[Numbers, ...]:
+    """Values and densities towards directions, and both of ``eval_pdf``."""
+    (value, pdf), n = probe.eval_pdf(vectors(wo)), len(wo)
+    joint = spectral(value, n), numbers(pdf, n).astype(float)
+    return probe.values(wo), probe.densities(wo), *joint
 
 
 @ENDS.asks("parameters")
@@ -107,56 +128,18 @@ def check_bsdf(evidence: Evidence) -> None:
             _check_ends(evidence, f", {text}")
 
 
-def _check_conditions(
-    evidence: Evidence, where: str, conditions: Sequence[Condition]
-) -> None:
-    """Check some incident directions, of which all are asked before one is judged."""
+def _check(
+    evidence: Evidence, wi: Floats, place: str
+) -> Generator[Numbers | None, tuple[Floats, ...], None]:
+    """Check one incident direction; yield what to ask, and get answers."""
     corners = np.array(list(product(NUMBERS, repeat=3)), dtype=np.float32)
-    wi = np.array([one.wi for one in conditions])
-    m, n = len(wi), len(wi) * len(corners)
-    probe = Probe(evidence.bsdf, conditions[0])
-    probe.wi = vectors(np.repeat(wi, len(corners), axis=0))
-    bs, weight = probe.sample(*random_numbers(np.tile(corners, (m, 1))))
-    drawn = spectral(weight, n), spectral(bs.wo, n), numbers(bs.pdf, n)
-    sampled = [*zip(*(np.split(x, m) for x in drawn))]
-    directions = [_directions(*one) for one in zip(wi, sampled)]
-    wo, lengths = np.concatenate(directions), [*map(len, directions)]
-    probe.wi, n = vectors(np.repeat(wi, lengths, axis=0)), len(wo)
-    joint = probe.eval_pdf(vectors(wo))
-    answers = (
-        probe.values(wo),
-        probe.densities(wo),
-        spectral(joint[0], n),
-        numbers(joint[1], n).astype(float),
-    )
-    borders = np.cumsum(lengths)[:-1]
-    towards = [*zip(*(np.split(x, borders) for x in (wo, *answers)))]
-    for k, condition in enumerate(conditions):
-        own = evidence, f"at {condition}{where}", wi[k]
-        _check_sampled(*own, corners, *sampled[k])
-        _check_answers(*own, *towards[k])
-
-
-def _directions(wi: Floats, sampled: Sequence[Floats]) -> Floats:
-    """Outgoing directions in which functions are asked, sampled ones first."""
-    weight, wo, _ = sampled
-    good = (weight != 0).any(axis=1) & np.isfinite(wo).all(axis=1)
+    weight, wo, pdf = yield corners
+    given = (weight != 0).any(axis=1)
     extra = [wi, -wi, wi * [-1, -1, 1], wi * [-1, -1, -1]]
     extra += list(direction(np.radians([0, 89.99, 90, 90.01, 180]), 0.3))
-    return np.concatenate([wo[good], extra])
-
-
-def _check_sampled(
-    evidence: Evidence,
-    place: str,
-    wi: Floats,
-    corners: Numbers,
-    weight: Floats,
-    wo: Floats,
-    pdf: Numbers,
-) -> None:
-    """Check samples of random numbers at their ends."""
-    given = (weight != 0).any(axis=1)
+    good = given & np.isfinite(wo).all(axis=1)
+    directions = np.concatenate([wo[good], extra])
+    values, density, *joint = yield directions
     along = np.full(len(wo), abs(wi[2]) < GRAZING)
     _check_finite(evidence, SAMPLE, "weight", weight, corners, place, along)
     found = pdf[given], corners[given], place, along[given]
@@ -172,18 +155,6 @@ def _check_sampled(
             off=PIXELS,
             kind=Kind.LENGTH_AT_AN_END,
         )
-
-
-def _check_answers(
-    evidence: Evidence,
-    place: str,
-    wi: Floats,
-    directions: Floats,
-    values: Floats,
-    density: Floats,
-    *joint: Floats,
-) -> None:
-    """Check values and densities, alone and of ``eval_pdf``."""
     black, densities = (values == 0).all(axis=1), [density, joint[1]]
     along = np.minimum(np.abs(directions[:, 2]), abs(wi[2])) < GRAZING
     if np.isnan([x[black & along] for x in densities]).any():
@@ -200,6 +171,7 @@ def _check_answers(
     ):
         own = value, directions, place, along, black
         _check_finite(evidence, function, "value", *own)
+    yield None
 
 
 def _check_finite(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TypeAlias
 
 import mitsuba as mi
 import numpy as np
@@ -26,6 +27,10 @@ from .weights import WEIGHTS, check_scores
 SAMPLING = Question(
     "sampling", __doc__, BIAS, COMBINED, volumes=SAME, identity=True, needed=True
 )
+
+
+# Terms of a sum, their squares, cubes and sizes.
+Terms: TypeAlias = tuple[Floats, ...]
 
 
 class Sampling(Mistake):
@@ -113,10 +118,7 @@ def check_sweep(evidence: Evidence, sweep: Sweep, key: tuple[int, ...]) -> None:
     pdf_even, _ = _densities(probe, even, np.ones(n, dtype=bool))
     u = 1 / (4 * np.pi if _transmits(evidence.bsdf) else 2 * np.pi)
     terms = [lit * u / (pdf + u), pdf_even / (pdf_even + u)]
-    weighed = [
-        [_powers(term * weight) for weight in _weighings(sweep, wo)]
-        for term, wo in zip(terms, (drawn, even))
-    ]
+    weighed = [_weighings(sweep, wo, x) for wo, x in zip((drawn, even), terms)]
     found: list[tuple[float, Flags]] = []
     for cells in _cells(sweep):
         for both in zip(*weighed):
@@ -188,27 +190,17 @@ def _cells(sweep: Sweep) -> list[Integers]:
     return [*bands, sweep.places + other, other]
 
 
-def _weighings(sweep: Sweep, wo: Floats) -> list[Floats]:
-    """Functions of wo: 1, its cosine, parts along and across the plane of incidence."""
+def _weighings(sweep: Sweep, wo: Floats, x: Floats) -> list[Terms]:
+    """Terms times 1, the cosine of wo, its parts along and across the plane of wi."""
     phi = np.radians(sweep.angles[1])
     along = wo[:, 0] * np.cos(phi) + wo[:, 1] * np.sin(phi)
     across = wo[:, 1] * np.cos(phi) - wo[:, 0] * np.sin(phi)
-    return [np.ones(sweep.n), np.abs(wo[:, 2]), along, across]
+    each = (np.nan_to_num(x * y) for y in (1.0, np.abs(wo[:, 2]), along, across))
+    return [(x, x * x, x * x * x, np.abs(x)) for x in each]
 
 
-def _powers(x: Floats) -> tuple[Floats, ...]:
-    """Terms, their squares, cubes and sizes."""
-    x = np.nan_to_num(x)
-    return x, x * x, x * x * x, np.abs(x)
-
-
-def _score_by_cell(
-    cells: Integers, first: tuple[Floats, ...], second: tuple[Floats, ...]
-) -> Floats:
-    """Normal score of the difference of two sums in each cell; 0 of too few terms.
-
-    Of each sum, the :func:`_powers` of its terms.
-    """
+def _score_by_cell(cells: Integers, first: Terms, second: Terms) -> Floats:
+    """Normal score of the difference of two sums in each cell; 0 of too few terms."""
     m = 2 * N_CELLS
     n = np.maximum(np.bincount(cells, minlength=m), 1)
     difference, variance, third = np.zeros((3, m))
