@@ -82,7 +82,15 @@ def test_historic_defects_are_found_and_named(request, name):
     check_found(verdict, one.functions, {*one.properties.split()})
 
 
-@pytest.mark.parametrize("name", EXHIBITS)
+# Mended, they are the very functions of another one: bsdf_without_pi (twice),
+# half_of_the_shadowing, cosine_left_over.
+ALIKE = (
+    *("directions_exchanged", "across_twice_as_long"),
+    *("visible_from_the_other_side", "sum_of_azimuths"),
+)
+
+
+@pytest.mark.parametrize("name", [name for name in EXHIBITS if name not in ALIKE])
 def test_mended_ones_are_right(request, name):
     """The twins."""
     one = EXHIBITS[name]
