@@ -49,12 +49,24 @@ def share_cores(config):
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
-    """Keep the tests of a file in one process: what they share is made once."""
+    """Keep the tests of a file in one process: what they share is made once.
+
+    So with files that look at the same verdicts.
+    """
     if config.option.dist != "load":
         return None
     from xdist.scheduler import LoadFileScheduling
 
-    return LoadFileScheduling(config, log)
+    class Scheduling(LoadFileScheduling):
+        def _split_scope(self, nodeid):
+            name = Path(nodeid.partition("::")[0]).stem.removeprefix("test_")
+            return "verdicts" if name in VERDICTS else super()._split_scope(nodeid)
+
+    return Scheduling(config, log)
+
+
+# Files that look at verdicts of `broken_bsdfs.judged`.
+VERDICTS = ("cosines", "reproducers", "sentences", "suspects", "verdicts")
 
 
 # Files whose tests take most of the time: -m "not slow" leaves them out.

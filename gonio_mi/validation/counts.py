@@ -153,7 +153,7 @@ def as_turned(evidence: Evidence) -> Guess | None:
 def _stays(evidence: Evidence) -> bool:
     """Whether the same numbers give the same directions from wherever light comes."""
     one, other = (
-        samples_of(evidence.bsdf, condition, 2**10, (evidence.seed, 74)).wo
+        samples_of(evidence.bsdf, condition, 2**10, (evidence.seed, 74), False).wo
         for condition in (Condition(20.0, 25.0), Condition(60.0, 140.0))
     )
     return not beyond_rounding(np.abs(one - other).max(axis=1) > SAME_DIRECTION)

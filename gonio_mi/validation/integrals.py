@@ -168,9 +168,9 @@ def _lattice(
             break
         values = _lattice_values(probe, subdivision, weight_limits, refined, level)
         if means is None:
-            means = np.zeros((m, SHIFTS, values.shape[-1]))
-        means[refined] = values.mean(axis=2) * area[refined]
-        density = values[..., 0] + values[..., 5]
+            means = np.zeros((m, SHIFTS, len(values)))
+        means[refined] = values.mean(axis=-1).transpose(1, 2, 0) * area[refined]
+        density = values[0] + values[5]
         largest[refined] = density.max(axis=(1, 2))
         least = min(least, density.min(initial=np.inf, where=density > 0))
         rough = _rough(means, totals, weight_limits) | (
@@ -190,7 +190,7 @@ def _lattice(
             values = _lattice_values(
                 probe, subdivision, weight_limits, patches, level, 1
             )
-            means[patches] = values.mean(axis=2) * area[patches]
+            means[patches] = values.mean(axis=-1).transpose(1, 2, 0) * area[patches]
     # how well the sum is known, it says itself
     return Expected.of(_mean_integrals(means), least)
 
@@ -240,7 +240,7 @@ def _lattice_values(
 ) -> Floats:
     """Values of :func:`_finite_values` at shifted lattices on some patches.
 
-    Uniform over solid angle; shape (len(patches), SHIFTS, n_points, functions). Another
+    Uniform over solid angle; shape (functions, len(patches), SHIFTS, n_points). Another
     `repeat` has other shifts.
     """
     n = len(patches) * SHIFTS * LATTICES[level][0]
@@ -251,10 +251,10 @@ def _lattice_values(
     wo = mi.Vector3f(*map(floats, (x, y, z if probe.condition.side == "front" else -z)))
     limit = floats(np.repeat(weight_limits[patches], n // len(patches)))
     found = _finite_values(probe, wo, limit)
-    values = np.empty((n, len(found)))
-    for column, one in zip(values.T, found):
-        column[:] = one.numpy()
-    return values.reshape(len(patches), SHIFTS, -1, len(found))
+    values = np.empty((len(found), n))
+    for row, one in zip(values, found):
+        row[:] = one.numpy()
+    return values.reshape(len(found), len(patches), SHIFTS, -1)
 
 
 @lru_cache(2)

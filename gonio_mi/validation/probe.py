@@ -214,12 +214,10 @@ class Probe:
         if dr.width(wi) < n:
             wi += dr.zeros(mi.Vector3f, n)
         # `n` may be so many times the samples, which are then asked again and again
-        uv, nm = dr.tile(self.uv, n // dr.width(self.uv)), self.wavelengths
-        if mi.is_spectral:
-            nm = dr.tile(nm, n // dr.width(nm))
-        spots = None
-        if self.fields:
-            spots = dr.tile(self.spots, n // dr.width(self.spots))
+        uv, nm, spots = (
+            x if dr.width(x) in (0, n) else dr.tile(x, n // dr.width(x))
+            for x in (self.uv, self.wavelengths, self.spots if self.fields else None)
+        )
         dr.make_opaque(wi, uv, nm, spots, arguments)
         # a plugin may change its copies in place: narrow its mask, or flip a direction
         copies = [type(one)(one) for one in (*arguments, active)]
@@ -338,8 +336,11 @@ def numbers(value: Any, n: int) -> Numbers:
 
 def spectral(value: Any, n: int) -> Floats:
     """NumPy array of a vector or spectrum in float64, shape ``(n, channels)``."""
-    array = np.array(value, dtype=float)
-    return np.broadcast_to(array.reshape(len(array), -1).T, (n, len(array)))
+    found = np.empty((len(value), n))
+    for row, channel in zip(found, value):
+        # one by one: all together, they would be interleaved in a kernel
+        row[:] = np.ravel(np.array(channel))
+    return found.T
 
 
 def vectors(rows: Numbers) -> mi.Vector3f:
@@ -353,15 +354,15 @@ def random_numbers(rows: Numbers) -> tuple[mi.Float, mi.Point2f]:
     return first, mi.Point2f(*second)
 
 
-def floats(values: Numbers) -> mi.Float:
-    """Mitsuba's numbers from an array, copied to memory of Dr.Jit.
+def floats(*parts: Numbers) -> mi.Float:
+    """Mitsuba's numbers from arrays, copied one after another to memory of Dr.Jit.
 
     NumPy's memory may begin anywhere, and reading from there needs another kernel.
     """
     if not mi.variant().startswith("llvm"):  # NumPy would write into a copy
-        return mi.Float(np.ascontiguousarray(values, np.float32))
-    found = dr.empty(mi.Float, len(values))
-    found.numpy()[:] = values
+        return mi.Float(np.concatenate(parts, dtype=np.float32))
+    found = dr.empty(mi.Float, sum(map(len, parts)))
+    np.concatenate(parts, out=found.numpy())
     return found
 
 

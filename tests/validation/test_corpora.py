@@ -22,6 +22,14 @@ NOT_YET = {
 }
 
 
+# What is said where a factor, or a change from call to call, is known.
+SAID = {
+    "weight_without_g1": "`sample` weight lacks the factor G1(wo), ",
+    "after_many_calls": "`eval` returns different values when called again",
+    "after_many_samples": "`sample` returns different values when called again",
+}
+
+
 def cases(test, table):
     """Parameters of a test, of which those that are not reached yet must fail."""
     late = " ".join(NOT_YET[test].split()).split(", ") if NOT_YET[test] else []
@@ -51,6 +59,7 @@ def test_broken_ones_are_found_and_named(request, name):
     request.getfixturevalue(one.variant)
     verdict = validate(load(one), effort="quick")
     check_found(verdict, one.functions, one.shown_by)
+    assert verdict.mistake.startswith(SAID.get(name, "")), str(verdict)
 
 
 @cases("unusual", UNUSUAL)
@@ -71,7 +80,15 @@ def test_historic_defects_are_found_and_named(request, name):
     check_found(verdict, one.functions, {*one.properties.split()})
 
 
-@pytest.mark.parametrize("name", EXHIBITS)
+# Mended, they are the very functions of another one: bsdf_without_pi (twice),
+# half_of_the_shadowing, cosine_left_over.
+ALIKE = (
+    *("directions_exchanged", "across_twice_as_long"),
+    *("visible_from_the_other_side", "sum_of_azimuths"),
+)
+
+
+@pytest.mark.parametrize("name", [name for name in EXHIBITS if name not in ALIKE])
 def test_mended_ones_are_right(request, name):
     """The twins."""
     one = EXHIBITS[name]

@@ -118,8 +118,9 @@ def test_patches_that_look_smooth_are_looked_at_again(looks_twice, monkeypatch):
         def same_again(probe, subdivision, limits, patches, level, repeat=0):
             if not repeat:
                 values = points(probe, subdivision, limits, patches, level)
-                first.update(zip([(level, k) for k in patches], values))
-            return np.stack([first[level, k] for k in patches])
+                each = values.swapaxes(0, 1)
+                first.update(zip([(level, k) for k in patches], each))
+            return np.stack([first[level, k] for k in patches], axis=1)
 
         monkeypatch.setattr(of_lattices, "_lattice_values", same_again)
     right_bsdfs.register()

@@ -341,7 +341,7 @@ def test_what_has_no_script(tmp_path):
     wrong = {"type": "weight_with_cosine"}
     with pytest.raises(SettingError, match="dictionary or a file, got an object"):
         reproducer(validate(mi.load_dict(wrong), effort="quick"))
-    verdict = validate(wrong, effort="quick")
+    verdict = judged("weight_with_cosine", "quick")
     with pytest.raises(SettingError, match="needs masks that fails"):
         reproducer(verdict, "masks")
     save_report(verdict, tmp_path / "report.html")

@@ -126,7 +126,7 @@ def check_lobe(
     if samples.condition.mode != "importance":
         return
     radiance = replace(samples.condition, mode="radiance")
-    same = samples_of(evidence.bsdf, radiance, samples.n, key)
+    same = samples_of(evidence.bsdf, radiance, samples.n, key, False)
     both = lobe.own & same.given & (same.type == samples.type)
     reflected = samples.reflected | ((samples.type & int(mi.BSDFFlags.Null)) != 0)
     eta2 = np.where(reflected, 1.0, samples.eta**2)[:, None]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator, Sequence
 from itertools import product
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -55,24 +57,53 @@ NUMBERS = (0.0, 0.5, LAST)
 LIMITS = dict.fromkeys(("alpha", "alpha_u", "alpha_v", "roughness"), (1e-3, 1.0))
 
 
-def _check_ends(evidence: Evidence, where: str = "") -> None:
+# Incident directions: at all angles, and with a cosine of exactly 0, which none has.
+CONDITIONS = [
+    *(Condition(theta_i, phi_i) for theta_i, phi_i in product(ANGLES, (0.0, 25.0))),
+    Condition(90.0, lit=(1.0, 0.0, 0.0)),
+]
+
+
+def _check_ends(
+    evidence: Evidence, where: str = "", conditions: Sequence[Condition] = CONDITIONS
+) -> None:
     """Check that all functions are finite and at least 0 at the ends of their domain.
 
     They are asked for sampled directions, and at the normal, at the horizon, in the
-    mirror direction and straight on.
+    mirror direction and straight on: of all conditions together, or, where that raises,
+    of one after the other.
     """
-    angles = product(ANGLES, (0.0, 25.0))
-    conditions = [Condition(theta_i, phi_i) for theta_i, phi_i in angles]
-    # a cosine of exactly 0, which no angle has
-    conditions.append(Condition(90.0, lit=(1.0, 0.0, 0.0)))
-    for condition in conditions:
-        place = f"at {condition}{where}"
-        try:
-            _check_condition(evidence, Probe(evidence.bsdf, condition), place)
-        except PluginFault as fault:  # elsewhere it answers
-            guess = Ends.RAISES(Function.named(fault.function), what=fault.what)
-            how = {"off": PIXELS, "kind": Kind.RAISES}
-            evidence.breach(ENDS, guess, found=place, **how)
+    probe, wi = Probe(evidence.bsdf, conditions[0]), [one.wi for one in conditions]
+    checks = [_check(evidence, one.wi, f"at {one}{where}") for one in conditions]
+    asked: Any = [next(check) for check in checks]
+    try:
+        for ask in (_samples, _answers):
+            lengths = [*map(len, asked)]
+            probe.wi = vectors(np.repeat(wi, lengths, axis=0))
+            answers = ask(probe, np.concatenate(asked))
+            each = zip(*(np.split(x, np.cumsum(lengths)[:-1]) for x in answers))
+            asked = [check.send(one) for check, one in zip(checks, each)]
+    except PluginFault as fault:
+        if len(conditions) > 1:
+            for one in conditions:
+                _check_ends(evidence, where, [one])
+            return
+        guess = Ends.RAISES(Function.named(fault.function), what=fault.what)
+        how = {"off": PIXELS, "kind": Kind.RAISES}
+        evidence.breach(ENDS, guess, found=f"at {conditions[0]}{where}", **how)
+
+
+def _samples(probe: Probe, corners: Floats) -> tuple[Numbers, ...]:
+    """Weights, directions and densities of samples."""
+    (bs, weight), n = probe.sample(*random_numbers(corners)), len(corners)
+    return spectral(weight, n), spectral(bs.wo, n), numbers(bs.pdf, n)
+
+
+def _answers(probe: Probe, wo: Floats) -> tuple[Numbers, ...]:
+    """Values and densities towards directions, and both of ``eval_pdf``."""
+    (value, pdf), n = probe.eval_pdf(vectors(wo)), len(wo)
+    joint = spectral(value, n), numbers(pdf, n).astype(float)
+    return probe.values(wo), probe.densities(wo), *joint
 
 
 @ENDS.asks("parameters")
@@ -97,15 +128,19 @@ def check_bsdf(evidence: Evidence) -> None:
             _check_ends(evidence, f", {text}")
 
 
-def _check_condition(evidence: Evidence, probe: Probe, place: str) -> None:
-    """Check one incident direction."""
+def _check(
+    evidence: Evidence, wi: Floats, place: str
+) -> Generator[Numbers | None, tuple[Floats, ...], None]:
+    """Check one incident direction; yield what to ask, and get answers."""
     corners = np.array(list(product(NUMBERS, repeat=3)), dtype=np.float32)
-    wi = probe.condition.wi
-    bs, sampled = probe.sample(*random_numbers(corners))
-    n = len(corners)
-    weight, wo, pdf = spectral(sampled, n), spectral(bs.wo, n), numbers(bs.pdf, n)
+    weight, wo, pdf = yield corners
     given = (weight != 0).any(axis=1)
-    along = np.full(n, abs(wi[2]) < GRAZING)
+    extra = [wi, -wi, wi * [-1, -1, 1], wi * [-1, -1, -1]]
+    extra += list(direction(np.radians([0, 89.99, 90, 90.01, 180]), 0.3))
+    good = given & np.isfinite(wo).all(axis=1)
+    directions = np.concatenate([wo[good], extra])
+    values, density, *joint = yield directions
+    along = np.full(len(wo), abs(wi[2]) < GRAZING)
     _check_finite(evidence, SAMPLE, "weight", weight, corners, place, along)
     found = pdf[given], corners[given], place, along[given]
     _check_finite(evidence, SAMPLE, "pdf", *found)
@@ -115,14 +150,7 @@ def _check_condition(evidence: Evidence, probe: Probe, place: str) -> None:
         text = f"{_text(wo[wrong][0])} {place}, sample {_text(corners[wrong][0])}"
         how = {"found": f"direction {text}", "kind": Kind.LENGTH_AT_AN_END}
         evidence.breach(ENDS, Ends.LENGTH(SAMPLE), off=PIXELS, **how)
-    extra = [wi, -wi, wi * [-1, -1, 1], wi * [-1, -1, -1]]
-    extra += list(direction(np.radians([0, 89.99, 90, 90.01, 180]), 0.3))
-    good = given & np.isfinite(wo).all(axis=1)
-    directions = np.concatenate([wo[good], extra])
-    n = len(directions)
-    joint, values = probe.eval_pdf(vectors(directions)), probe.values(directions)
-    black = (values == 0).all(axis=1)
-    densities = [probe.densities(directions), numbers(joint[1], n).astype(float)]
+    black, densities = (values == 0).all(axis=1), [density, joint[1]]
     along = np.minimum(np.abs(directions[:, 2]), abs(wi[2])) < GRAZING
     if np.isnan([x[black & along] for x in densities]).any():
         # and dark: Mitsuba's own do it
@@ -133,11 +161,12 @@ def _check_condition(evidence: Evidence, probe: Probe, place: str) -> None:
     for function, value in (
         (EVAL, values),
         (PDF, densities[0]),
-        (Function.EVAL_PDF, spectral(joint[0], n)),
+        (Function.EVAL_PDF, joint[0]),
         (Function.EVAL_PDF, densities[1]),
     ):
         own = value, directions, place, along, black
         _check_finite(evidence, function, "value", *own)
+    yield None
 
 
 def _check_finite(

@@ -120,7 +120,7 @@ def check_sides(evidence: Evidence) -> None:
         if flags & int(flag) or flags & int(all_flags.Transmission):
             continue
         condition = replace(base, side=side)
-        samples = samples_of(bsdf, condition, 2**12, (evidence.seed, 31))
+        samples = samples_of(bsdf, condition, 2**12, (evidence.seed, 31), False)
         lit = (np.nan_to_num(samples.weight, nan=1) > 0).any(axis=1)
         # a weight of 0 may come with no direction at all, of which none is asked
         asked = np.isfinite(samples.wo).all(axis=1)

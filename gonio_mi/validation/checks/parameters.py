@@ -159,7 +159,7 @@ def _check_further(evidence: Evidence, plan: Effort, values: dict[str, Any]) -> 
                 continue
             wrong = _breaches(found)
             to = ", ".join(f"{x:.3g}" for x in np.ravel(np.array(others[name])))
-            before = samples_of(evidence.bsdf, sweep, N_UPDATED, key)
+            before = samples_of(evidence.bsdf, sweep, N_UPDATED, key, False)
             function = _stale(before, found)
             if function is SAMPLE and found.of("sampled_pdf"):
                 function |= PDF  # `sample` is not stale for sure

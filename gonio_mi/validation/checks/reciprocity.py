@@ -200,7 +200,7 @@ def check_lobe(evidence: Evidence, lobe: Lobe, key: tuple[int, ...]) -> bool:
     if samples.condition.mode != "importance" or abs(lobe.wo[2]) < 1e-3:
         return True
     reverse = samples.condition.lit_from(lobe.wo)
-    back = samples_of(evidence.bsdf, reverse, samples.n, (*key, 7))
+    back = samples_of(evidence.bsdf, reverse, samples.n, (*key, 7), False)
     returned = back.given & (back.type == lobe.kind)
     off = np.abs(back.wo - samples.condition.wi).max(axis=1)
     returned &= off < DIRECTION_ROUNDING

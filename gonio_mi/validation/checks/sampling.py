@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TypeAlias
 
 import mitsuba as mi
 import numpy as np
@@ -26,6 +27,10 @@ from .weights import WEIGHTS, check_scores
 SAMPLING = Question(
     "sampling", __doc__, BIAS, COMBINED, volumes=SAME, identity=True, needed=True
 )
+
+
+# Terms of a sum, their squares, cubes and sizes.
+Terms: TypeAlias = tuple[Floats, ...]
 
 
 class Sampling(Mistake):
@@ -104,10 +109,11 @@ def check_sweep(evidence: Evidence, sweep: Sweep, key: tuple[int, ...]) -> None:
         return
     u = 1 / (4 * np.pi if _transmits(evidence.bsdf) else 2 * np.pi)
     terms = [lit * u / (pdf + u), pdf_even / (pdf_even + u)]
+    weighed = [_weighings(sweep, wo, x) for wo, x in zip((drawn, even), terms)]
     found: list[tuple[float, Flags]] = []
     for cells in _cells(sweep):
-        for first, second in zip(_weighings(sweep, drawn), _weighings(sweep, even)):
-            scores = _score_by_cell(cells, terms[0] * first, terms[1] * second)
+        for both in zip(*weighed):
+            scores = _score_by_cell(cells, *both)
             k = int(np.abs(scores).argmax())
             found.append((float(scores[k]), cells == k))
     z, own = max(found, key=lambda one: abs(one[0]))
@@ -175,30 +181,29 @@ def _cells(sweep: Sweep) -> list[Integers]:
     return [*bands, sweep.places + other, other]
 
 
-def _weighings(sweep: Sweep, wo: Floats) -> list[Floats]:
-    """Functions of wo: 1, its cosine, parts along and across the plane of incidence."""
+def _weighings(sweep: Sweep, wo: Floats, x: Floats) -> list[Terms]:
+    """Terms times 1, the cosine of wo, its parts along and across the plane of wi."""
     phi = np.radians(sweep.angles[1])
     along = wo[:, 0] * np.cos(phi) + wo[:, 1] * np.sin(phi)
     across = wo[:, 1] * np.cos(phi) - wo[:, 0] * np.sin(phi)
-    return [np.ones(sweep.n), np.abs(wo[:, 2]), along, across]
+    each = (np.nan_to_num(x * y) for y in (1.0, np.abs(wo[:, 2]), along, across))
+    return [(x, x * x, x * x * x, np.abs(x)) for x in each]
 
 
-def _score_by_cell(cells: Integers, first: Floats, second: Floats) -> Floats:
+def _score_by_cell(cells: Integers, first: Terms, second: Terms) -> Floats:
     """Normal score of the difference of two sums in each cell; 0 of too few terms."""
     m = 2 * N_CELLS
     n = np.maximum(np.bincount(cells, minlength=m), 1)
     difference, variance, third = np.zeros((3, m))
     enough = np.ones(m, dtype=bool)
     for sign, x in ((1, first), (-1, second)):
-        x = np.nan_to_num(x)
-        total, squares, cubes = (
-            np.bincount(cells, power, minlength=m) for power in (x, x * x, x * x * x)
+        total, squares, cubes, size = (
+            np.bincount(cells, power, minlength=m) for power in x
         )
         mean = total / n
         difference += sign * total
         variance += squares - n * mean**2
         third += sign * (cubes - 3 * mean * squares + 2 * n * mean**3)
-        size = np.bincount(cells, np.abs(x), minlength=m)
         # equal terms vary by rounding alone
         variance += (BSDF_ROUNDING * size) ** 2
         enough &= size**2 > MIN_TERMS * squares
@@ -245,7 +250,7 @@ def check_roulette(evidence: Evidence) -> None:
 def _is_roulette(evidence: Evidence, maps: FourMaps) -> bool:
     """Whether the mean of weight times pdf over ``eval`` is the integral of ``pdf``."""
     key = (evidence.seed, 2, 73)
-    samples = samples_of(evidence.bsdf, maps.condition, N_ROULETTE, key)
+    samples = samples_of(evidence.bsdf, maps.condition, N_ROULETTE, key, False)
     lit = samples.usable & (samples.eval > 0).any(axis=1)
     ratio = np.zeros(samples.n)
     over = samples.weight[lit].sum(axis=1) * samples.pdf[lit]
