@@ -233,8 +233,8 @@ def half_vector_segments(lobes: MeasuredLobes) -> list[HalfVectorSegments]:
         eta = _index(lobes, trials) if hemisphere else None
         if hemisphere and eta is None:
             continue
-        ways = [], [HalfVectorSegments(hemisphere, eta, (True,))]
-        errors = ([one.error(hemisphere, way) for one in trials] for way in ways)
+        way = [HalfVectorSegments(hemisphere, eta, (True,))]
+        errors = ([one.error(hemisphere, way[:n]) for one in trials] for n in (0, 1))
         segments = _better(angles, *errors)
         found.append(HalfVectorSegments(hemisphere, eta, segments))
     return [one for one in found if any(one.segments)]
