@@ -63,6 +63,7 @@ def pictures_here(notebook):
     return found
 
 
+@pytest.mark.usefixtures("less")
 # of notebooks, which are read by people
 @pytest.mark.filterwarnings("default")
 @pytest.mark.parametrize(

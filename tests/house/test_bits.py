@@ -6,13 +6,13 @@ import sys
 
 import bits
 
-SHARE = 20
+SHARE = 40
 
 
 def test_another_process_gives_the_same_bits(tmp_path):
     """Exact, whatever was measured before; and the script tells what has changed."""
     here = bits.bits(SHARE)
-    assert len(here) > 10
+    assert len(here) > 5
     changed = next(iter(here))
     before, after = tmp_path / "before.json", tmp_path / "after.json"
     before.write_text(json.dumps(here | {changed: "other bits"}))

@@ -12,9 +12,11 @@ import pytest
 import gonio_mi as gonio
 from gonio_mi import cli
 from gonio_mi.campaigns import tasks
+from gonio_mi.materials import whole_bsdf
 
-# Directions that are begun before Ctrl-C: a part of all that the command measures.
-BEGUN = 25
+# Directions that are begun before Ctrl-C, a part of all that the command measures, and
+# those that confirm the material.
+BEGUN, UNSEEN = 15, 8
 
 COMMAND = ["measure", "roughconductor:alpha=0.5", "--tolerance", "0.2", "--theta-max"]
 COMMAND += ["60", "--collector", "projected:6x16", "--estimator", "weighted", "-q"]
@@ -27,8 +29,10 @@ KILLED = f"""
 import os, signal, sys
 from gonio_mi.cli import main
 from gonio_mi.campaigns import tasks
+from gonio_mi.materials import whole_bsdf
 
 measure, calls = tasks.measure_each, []
+whole_bsdf.N_UNSEEN = {UNSEEN}
 
 def one(*args, **kwargs):
     calls.append(1)
@@ -39,6 +43,13 @@ def one(*args, **kwargs):
 tasks.measure_each = one
 sys.exit(main())
 """
+
+
+@pytest.fixture(autouse=True, scope="module")
+def few_unseen():
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        monkeypatch.setattr(whole_bsdf, "N_UNSEEN", UNSEEN)
+        yield
 
 
 @pytest.fixture

@@ -381,6 +381,13 @@ def test_same_bits_elsewhere_and_again(material, tmp_path, monkeypatch):
     assert kept.tallies == material.tallies
 
 
+@pytest.fixture
+def few_unseen(monkeypatch):
+    """Confirm materials at fewer directions."""
+    monkeypatch.setattr(whole_bsdf, "N_UNSEEN", 8)
+
+
+@pytest.mark.usefixtures("few_unseen")
 def test_ctrl_c_without_a_folder_makes_one(monkeypatch, tmp_path):
     """That the same call carries on from; of two specimens the first is whole in it."""
     plates = {name: {"type": "diffuse"} for name in "ab"}
@@ -516,6 +523,7 @@ def test_noisy_directions_are_measured_again(estimator):
         assert known.rays == found[0].ledger.emitted + found[1].ledger.emitted
 
 
+@pytest.mark.usefixtures("few_unseen")
 def test_rays_are_taken_where_a_late_integral_is_refused(monkeypatch):
     """At directions never used, when all others are known; nothing is mixed.
 
@@ -770,6 +778,7 @@ def test_deltas_are_told_at_once(looked):
         gonio.campaign({"glass": glass}, tolerance=0.05)
 
 
+@pytest.mark.usefixtures("few_unseen")
 def test_without_a_collector_one_is_chosen(tmp_path):
     """The one that a refusal names, fine enough to begin with.
 

@@ -16,7 +16,11 @@ import numpy as np
 from ...array_types import Floats, Integers
 from ...collector.directions import direction
 from .incident_grid import MIN_BENDING, tried_indices
-from .interpolated_lobes import HalfVectorSegments, InterpolatedLobes
+from .interpolated_lobes import (
+    HalfVectorSegments,
+    InterpolatedLobes,
+    QuantileTransport,
+)
 from .lobes import LobeTable, MeasuredLobes, mean_lobe
 from .lookups import IncidentPlaces, Place, doubles, read, seen_from, towards
 
@@ -34,6 +38,8 @@ class InterpolatedBSDF:
         Of the table's channels in nm, for spectral variants.
     half_vectors : sequence of HalfVectorSegments, optional
         Of :class:`.InterpolatedLobes`, as :func:`.half_vector_segments` chooses them.
+    quantiles : QuantileTransport, optional
+        Of the table, where it is known.
     """
 
     def __init__(
@@ -41,11 +47,12 @@ class InterpolatedBSDF:
         table: LobeTable,
         wavelengths: Floats | None = None,
         half_vectors: Sequence[HalfVectorSegments] = (),
+        quantiles: QuantileTransport | None = None,
     ) -> None:
         self.wavelengths = wavelengths
         self.n_azimuths, _, self.n_hemispheres = table.brdf.shape[:3]
         self.incident = IncidentPlaces(table.grid)
-        self.lobes = InterpolatedLobes(table, self.incident, half_vectors)
+        self.lobes = InterpolatedLobes(table, self.incident, half_vectors, quantiles)
         self.flux = doubles(table.flux.mean(axis=-1))
         self.transmits = bool(table.flux[:, :, 1:].any())
 
@@ -226,12 +233,9 @@ def half_vector_segments(lobes: MeasuredLobes) -> list[HalfVectorSegments]:
         eta = _index(lobes, trials) if hemisphere else None
         if hemisphere and eta is None:
             continue
-        by_normals = [HalfVectorSegments(hemisphere, eta, (True,))]
-        segments = _better(
-            angles,
-            [one.error(hemisphere, []) for one in trials],
-            [one.error(hemisphere, by_normals) for one in trials],
-        )
+        way = [HalfVectorSegments(hemisphere, eta, (True,))]
+        errors = ([one.error(hemisphere, way[:n]) for one in trials] for n in (0, 1))
+        segments = _better(angles, *errors)
         found.append(HalfVectorSegments(hemisphere, eta, segments))
     return [one for one in found if any(one.segments)]
 
@@ -301,9 +305,9 @@ class _Trial:
         known = np.flatnonzero(grid.index[:, angle] >= 0)
         azimuth = int(known[int(position * len(known))])
         self.table = lobes.table([azimuth], [angle - 1, angle + 1])
+        self.quantiles = QuantileTransport(self.table)
         self.lobes = mean_lobe(lobes.brdf([azimuth], [angle])[0, 0])
-        incident = grid.theta_i[angle], grid.phi_i[azimuth]
-        self.wi = direction(*np.radians(incident))
+        self.wi = direction(*np.radians([grid.theta_i[angle], grid.phi_i[azimuth]]))
 
     def error(
         self, hemisphere: int, half_vectors: Sequence[HalfVectorSegments]
@@ -327,7 +331,7 @@ class _Trial:
         wo = mi.Vector3f(np.ascontiguousarray(points.reshape(-1, 3).T))
         wi = mi.Vector3f(self.wi.tolist())
         dr.make_opaque(wi, wo)
-        face = InterpolatedBSDF(self.table, half_vectors=half_vectors)
+        face = InterpolatedBSDF(self.table, None, half_vectors, self.quantiles)
         values, _, wanted = face.values(wi, wo)
         mean = dr.select(wanted, sum(values) / len(values), 0.0)
         means = dr.block_sum(mean, N_POINTS**2).numpy() / N_POINTS**2

@@ -323,6 +323,8 @@ class InterpolatedLobes:
     half_vectors : sequence of HalfVectorSegments, optional
         Where light keeps its micro-normals between polar angles; elsewhere it moves by
         :class:`.interpolated_lobes.QuantileTransport`.
+    quantiles : QuantileTransport, optional
+        Of the table, where it is known.
     """
 
     def __init__(
@@ -330,6 +332,7 @@ class InterpolatedLobes:
         table: LobeTable,
         incident: IncidentPlaces,
         half_vectors: Sequence[HalfVectorSegments] = (),
+        quantiles: QuantileTransport | None = None,
     ) -> None:
         self.n_hemispheres = table.brdf.shape[2]
         self.incident = incident
@@ -346,7 +349,7 @@ class InterpolatedLobes:
         ]
         self.azimuths = HalfVectorTransport(between, moving)
         # slow to find: none where nothing moves by them
-        self.segments = QuantileTransport(table) if by_segments else None
+        self.segments = (quantiles or QuantileTransport(table)) if by_segments else None
         self.measured = LobeArrays(table)
         self.n_channels = self.measured.n_channels
 

@@ -18,6 +18,7 @@ themselves, all of them: no flux is lost or made.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -84,15 +85,7 @@ def _histograms(brdf: Floats, patches: RingsAndSectors, phi_i: float) -> Floats:
     Of all channels of the lobes ``(N, H, n_theta, n_phi, channels)`` of an azimuth.
     Light comes from +x; cells are equal steps of x and of ``y / sqrt(1 - x^2)``.
     """
-    n = N_CELLS * N_POINTS
-    x, v = np.meshgrid(*2 * [(np.arange(n) + 0.5) * (2 / n) - 1], indexing="ij")
-    across = np.sqrt(1 - x**2)
-    y, z = v * across, across * np.sqrt(1 - v**2)
-    turned = [
-        x * np.cos(phi_i) - y * np.sin(phi_i),
-        x * np.sin(phi_i) + y * np.cos(phi_i),
-    ]
-    index = patches.patch(np.stack([*turned, z], axis=-1))
+    across, index = _points(patches, phi_i, N_CELLS * N_POINTS)
     points = N_CELLS, N_POINTS, N_CELLS, N_POINTS
     flux = np.moveaxis(np.empty((N_CELLS, N_CELLS, *brdf.shape[:2])), (2, 3), (0, 1))
     for lobe in np.ndindex(brdf.shape[:2]):
@@ -103,6 +96,17 @@ def _histograms(brdf: Floats, patches: RingsAndSectors, phi_i: float) -> Floats:
     total = flux.sum(axis=(2, 3), keepdims=True)
     flux = flux / np.where(total > 0, total, 1)
     return (1 - EVEN_FRACTION) * flux + EVEN_FRACTION * even / even.sum()
+
+
+@functools.lru_cache(maxsize=16)
+def _points(patches: RingsAndSectors, phi_i: float, n: int) -> tuple[Floats, Integers]:
+    """``n x n`` points of the cells: ``sqrt(1 - x^2)``, and their patches."""
+    x, v = np.meshgrid(*2 * [(np.arange(n) + 0.5) * (2 / n) - 1], indexing="ij")
+    across = np.sqrt(1 - x**2)
+    y, z = v * across, across * np.sqrt(1 - v**2)
+    sin, cos = np.sin(phi_i), np.cos(phi_i)
+    wo = np.stack([x * cos - y * sin, x * sin + y * cos, z], axis=-1)
+    return across, patches.patch(wo)
 
 
 def _segment(first: Floats, second: Floats) -> tuple[Floats, ...]:

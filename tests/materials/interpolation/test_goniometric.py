@@ -59,16 +59,10 @@ def drawn(seed, n):
 # --------------------------------------------------------------- it is the record
 
 
-@pytest.mark.parametrize(
-    ("collector", "both"),
-    [
-        ("angle:5x7", False),
-        ("borders:0,20,70,90x0,10,100,360", True),
-    ],
-)
-def test_integral_over_each_patch_is_what_was_measured(plugin, collector, both):
+@pytest.mark.parametrize("collector", ["angle:5x7", "borders:0,20,70,90x0,10,100,360"])
+def test_integral_over_each_patch_is_what_was_measured(plugin, collector):
     """Twin: at another angle it is another record."""
-    record = isotropic(collector=collector, both=both, phi_i=(25, 25, 25))
+    record = isotropic(collector=collector, both=True, phi_i=(25, 25, 25))
     bsdf = plugin(record)
     for number, theta_i in enumerate(record.theta_i):
         result = integrate(bsdf, theta_i, 25, record.subdivision, integral_err=1e-5)
@@ -121,7 +115,7 @@ def test_samples_follow_eval(plugin, make, theta_i, phi_i):
 
 
 def test_weights_are_eval_over_density(plugin):
-    bsdf = plugin(anisotropic(both=True))
+    bsdf = plugin(isotropic(both=True))
     ctx = mi.BSDFContext(IMPORTANCE)
     si = interaction(40, 110)
     bs, weight = bsdf.sample(ctx, si, *drawn(3, 10_000))
@@ -377,7 +371,7 @@ def test_disabled_components_are_absent(plugin):
 
 
 def test_white_sphere_vanishes_in_a_furnace(plugin):
-    """In the mean of Mitsuba's own path tracer, of one event."""
+    """In the mean of Mitsuba's own integrator, which samples light and BSDF."""
     patches = gonio.subdivision("projected:6x8")
     even = np.full((1, 1, *patches.shape), 1 / patches.n_patches)
     view = mi.ScalarTransform4f().look_at([0, 0, 4], [0] * 3, [0, 1, 0])
@@ -386,13 +380,13 @@ def test_white_sphere_vanishes_in_a_furnace(plugin):
     scene = mi.load_dict(
         {
             "type": "scene",
-            "integrator": {"type": "path", "max_depth": 2},
+            "integrator": {"type": "direct"},
             "sphere": {"type": "sphere", "bsdf": bsdf},
             "light": {"type": "constant"},
             "sensor": {"type": "perspective", "to_world": view, "film": film},
         }
     )
-    picture = mi.render(scene, spp=16).numpy()
+    picture = mi.render(scene, spp=256).numpy()
     noisy = picture[..., 0][np.abs(picture[..., 0] - 1) > ROUNDING]
     assert len(noisy) > 50  # the pixels of the sphere
     z = (noisy.mean() - 1) / noisy.std(ddof=1) * np.sqrt(len(noisy))
