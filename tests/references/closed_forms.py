@@ -47,7 +47,9 @@ def eval_flux(bsdf, theta_i, phi_i, wo, *, side="front", nm=None):
     si.wi = mi.Vector3f(wi.tolist())
     dr.make_opaque(si.wi)  # one kernel for all directions
     ctx = mi.BSDFContext(mi.TransportMode.Importance)
-    vectors = mi.Vector3f(np.ascontiguousarray(wo.T, dtype=np.float32))
+    # gathered: what NumPy has allocated may not be aligned, which is another kernel
+    flat = mi.Float(np.float32(wo).ravel())
+    vectors = dr.gather(mi.Vector3f, flat, dr.arange(mi.UInt32, len(wo)))
     values = np.array(bsdf.eval(ctx, si, vectors), dtype=float)
     return np.broadcast_to(
         values.reshape(-1, values.shape[-1]).T, (len(wo), len(values))
