@@ -161,6 +161,8 @@ def unmoved(request, monkeypatch, tmp_path_factory):
     depends on how long ago another test wrote one, and on how slow the machine is.
     Without another test's BSDFs too: Dr.Jit records the calls of all that exist.
     """
+    from gonio_mi.transport.shapes import forget
+
     if not {*VARIANTS, "variant", "polarised"} & {*request.fixturenames}:
         _set_variant(VARIANTS["mono"])
     monkeypatch.setattr(sys, "path", [*sys.path])
@@ -170,6 +172,7 @@ def unmoved(request, monkeypatch, tmp_path_factory):
     yield
     os.chdir(folder)
     of_tests = str(tmp_path_factory.getbasetemp())
+    forget()
     for name in {*sys.modules} - known:
         if str(getattr(sys.modules[name], "__file__", None)).startswith(of_tests):
             del sys.modules[name]

@@ -69,14 +69,18 @@ def scene_of(shapes: Sequence[mi.Shape], groups: Sequence[mi.Shape] = ()) -> mi.
     geometry = geometry_digest(shapes)
     if _last and [*map(id, _last[0])] == [*map(id, shapes)] and _last[1] == geometry:
         return _last[2]
-    # the old one is freed before the new one is built
-    _last.clear()
+    forget()
     scene = mi.load_dict(
         {"type": "scene"} | WATERTIGHT | dict(zip(_names(shapes), shapes)),
         optimize=False,
     )
     _last[:] = list(shapes), geometry, scene
     return scene
+
+
+def forget() -> None:
+    """Free what was built last, before what cannot be the same is loaded."""
+    _last.clear()
 
 
 def remember(scene: mi.Scene) -> None:
