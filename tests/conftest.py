@@ -94,14 +94,14 @@ def pytest_collection_modifyitems(items):
 
 @pytest.fixture(autouse=True, scope="module")
 def threads(request):
-    """Give Dr.Jit a process's part of the cores, but two where Mitsuba reads files.
+    """Give Dr.Jit a process's part of the cores, but two where Mitsuba has files.
 
     It reads and writes EXR files in Dr.Jit's other threads, and waits for ever if
-    there is none.
+    there is none. What waits keeps a core busy.
     """
     before = dr.thread_count()
     processes = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", 1))
-    files = re.search(r"Bitmap|load_file", request.path.read_text())
+    files = re.search(r"Bitmap\(str|\.write\((str|path)", request.path.read_text())
     dr.set_thread_count(max(before // processes, 2 if files else 1))
     yield
     dr.set_thread_count(before)
