@@ -59,9 +59,9 @@ def draw_all(sampler, pattern=(2, 1, 2, 1, 1)):
     """Array of the numbers of one ray a column, drawn in 2D and 1D."""
     rows = []
     for n in pattern:
-        drawn = sampler.next_2d() if n == 2 else [sampler.next_1d()]
-        rows += [x.numpy() for x in drawn]
-    return np.array(rows)
+        rows += [*sampler.next_2d()] if n == 2 else [sampler.next_1d()]
+    dr.eval(rows)
+    return np.array([row.numpy() for row in rows])
 
 
 # ------------------------------------------------------------------ the points
