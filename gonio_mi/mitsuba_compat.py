@@ -80,7 +80,10 @@ def mesh_of(
     parameters = mi.traverse(mesh)
     parameters["faces"] = mi.UInt32(faces.ravel())
     for key, values in ({"positions": points} | others).items():
-        parameters[f"vertex_{key}"] = mi.Float(values.ravel())
+        # Dr.Jit's own memory: NumPy's may not be aligned, which is another kernel
+        memory = dr.empty(mi.Float, values.size)
+        memory.numpy()[:] = values.ravel()
+        parameters[f"vertex_{key}"] = memory
     parameters.update()
     dr.eval()
     return mesh

@@ -106,14 +106,14 @@ def pytest_collection_modifyitems(items):
 
 @pytest.fixture(autouse=True, scope="module")
 def threads(request):
-    """Give Dr.Jit a process's part of the cores, but two where Mitsuba reads files.
+    """Give Dr.Jit a process's part of the cores, but two where Mitsuba has files.
 
     It reads and writes EXR files in Dr.Jit's other threads, and waits for ever if
-    there is none.
+    there is none. What waits keeps a core busy.
     """
     before = dr.thread_count()
     processes = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", 1))
-    files = re.search(r"Bitmap|load_file", request.path.read_text())
+    files = re.search(r"Bitmap\(str|\.write\((str|path)", request.path.read_text())
     dr.set_thread_count(max(before // processes, 2 if files else 1))
     yield
     dr.set_thread_count(before)
@@ -173,6 +173,8 @@ def unmoved(request, monkeypatch, tmp_path_factory):
     depends on how long ago another test wrote one, and on how slow the machine is.
     Without another test's BSDFs too: Dr.Jit records the calls of all that exist.
     """
+    from gonio_mi.transport.shapes import forget
+
     if not {*VARIANTS, "variant", "polarised"} & {*request.fixturenames}:
         _set_variant(VARIANTS["mono"])
     monkeypatch.setattr(sys, "path", [*sys.path])
@@ -182,6 +184,7 @@ def unmoved(request, monkeypatch, tmp_path_factory):
     yield
     os.chdir(folder)
     of_tests = str(tmp_path_factory.getbasetemp())
+    forget()
     for name in {*sys.modules} - known:
         if str(getattr(sys.modules[name], "__file__", None)).startswith(of_tests):
             del sys.modules[name]

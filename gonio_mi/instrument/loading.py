@@ -33,7 +33,7 @@ from ..surfaces.height_maps import is_height_map
 from ..surfaces.meshes import is_mesh
 from ..threads import two_threads
 from ..transport.kernels import launches_kernels
-from ..transport.shapes import WATERTIGHT, remember, scene_of
+from ..transport.shapes import WATERTIGHT, forget, remember, scene_of
 from ..transport.variants import check_variant, is_parallel
 from .specimen_text import (
     CALLED,
@@ -133,6 +133,8 @@ def load_specimen(
     FileFormatError
         If a file that it names is damaged, and Mitsuba would not notice.
     """
+    if not isinstance(specimen, (mi.Scene, mi.Shape)):
+        forget()  # its objects have numbers in kernels, which are compiled for these
     if isinstance(specimen, (str, os.PathLike)):
         path = existing(specimen)
         if is_height_map(path):

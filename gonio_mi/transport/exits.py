@@ -99,8 +99,10 @@ def of_order(exits: Exits, order: Order) -> Exits:
     fate = exits.fate
     left = (fate == mi.UInt32(Fate.REFLECTED)) | (fate == mi.UInt32(Fate.SIDEWAYS))
     left |= fate == mi.UInt32(Fate.DIRECT)
-    other = (left & (exits.depth < order.least)) | (exits.depth > order.most)
-    other |= (fate == mi.UInt32(Fate.TRUNCATED)) & (exits.depth >= order.most)
+    # one kernel for all of them
+    least, most = (dr.opaque(mi.UInt32, n) for n in (order.least, order.most))
+    other = (left & (exits.depth < least)) | (exits.depth > most)
+    other |= (fate == mi.UInt32(Fate.TRUNCATED)) & (exits.depth >= most)
     return replace(exits, fate=dr.select(other, mi.UInt32(Fate.OTHER_ORDER), fate))
 
 

@@ -71,7 +71,7 @@ class Deposits:
         self, setup: Setup, sums: Sums, lanes: mi.Bool, batch: mi.UInt32
     ) -> None:
         self.setup, self.sums = setup, sums
-        self.points, self.order = setup.settings.points, setup.settings.order
+        self.points = setup.settings.points
         self.lanes, self.batch = lanes, batch
         self.scatters = any(
             mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Smooth)
@@ -123,7 +123,8 @@ class Deposits:
         mi.Bool
             False where `eval` returned what is no flux.
         """
-        low, high = self.order.least, self.order.most
+        order = self.setup.settings.order
+        low, high = (dr.opaque(mi.UInt32, n) for n in (order.least, order.most))
         wanted = active & self.lanes & (depth + 1 >= low) & (depth + 1 <= high)
         wanted &= mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
         sound = mi.Bool(True)

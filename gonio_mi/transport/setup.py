@@ -23,9 +23,10 @@ from .specimen import Specimen
 from .wavelengths import passes
 
 # Levels of rare powers for those from 2**-47 on, which one sample of a glossy BSDF
-# in a million carries: a launch that met them without room would be repeated. In large
+# in a million carries, or 2**-87, which is what it sends to points beside its lobe: a
+# launch that met them without room would be repeated, and compiled anew. In large
 # collectors the room is made when it is needed.
-USUAL_LEVELS = range(10, 15)
+USUAL_LEVELS, LEVELS_OF_POINTS = range(10, 15), range(5, 15)
 MAX_ROOMY_BINS = 2**16
 
 
@@ -92,7 +93,8 @@ class Setup:
         self.orders: tuple[Order, ...] = ()
         self.classes = OrderClasses()
         # of powers beyond the ordinary that sums have room for: what was met so far
-        self.levels = USUAL_LEVELS if self.n_bins <= MAX_ROOMY_BINS else range(0)
+        usual = LEVELS_OF_POINTS if settings.estimator.deposits else USUAL_LEVELS
+        self.levels = usual if self.n_bins <= MAX_ROOMY_BINS else range(0)
 
     def turned(self, beam: Beam, incident: tuple[float, float]) -> Setup:
         """The same setup for another direction of its collimated beam."""

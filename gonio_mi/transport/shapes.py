@@ -37,11 +37,8 @@ def groups_of(scene: mi.Scene) -> list[mi.Shape]:
     """List of the shape groups of `scene`, without which no instance can be built."""
     if not any(map(_is_instance, scene.shapes())):
         return []
-    return [
-        part
-        for part in traversed(scene).hierarchy
-        if isinstance(part, mi.Shape) and part.class_name().startswith("ShapeGroup")
-    ]
+    parts = [part for part in traversed(scene).hierarchy if isinstance(part, mi.Shape)]
+    return [part for part in parts if part.class_name().startswith("ShapeGroup")]
 
 
 def surfaces_of(
@@ -69,14 +66,16 @@ def scene_of(shapes: Sequence[mi.Shape], groups: Sequence[mi.Shape] = ()) -> mi.
     geometry = geometry_digest(shapes)
     if _last and [*map(id, _last[0])] == [*map(id, shapes)] and _last[1] == geometry:
         return _last[2]
-    # the old one is freed before the new one is built
-    _last.clear()
-    scene = mi.load_dict(
-        {"type": "scene"} | WATERTIGHT | dict(zip(_names(shapes), shapes)),
-        optimize=False,
-    )
+    forget()
+    parts = {"type": "scene"} | WATERTIGHT | dict(zip(_names(shapes), shapes))
+    scene = mi.load_dict(parts, optimize=False)
     _last[:] = list(shapes), geometry, scene
     return scene
+
+
+def forget() -> None:
+    """Free what was built last, before what cannot be the same is loaded."""
+    _last.clear()
 
 
 def remember(scene: mi.Scene) -> None:
@@ -246,11 +245,8 @@ def walls_in_sides(
     which : callable
         Such as :func:`refracts` and :func:`encloses_medium`.
     """
-    return [
-        f"{shape.class_name()} {shape.id()!r}"
-        for shape in filter(which, shapes)
-        if _has_walls(shape, low, high)
-    ]
+    walls = [one for one in filter(which, shapes) if _has_walls(one, low, high)]
+    return [f"{shape.class_name()} {shape.id()!r}" for shape in walls]
 
 
 def in_one_plane(shapes: Sequence[mi.Shape], near: float) -> bool:

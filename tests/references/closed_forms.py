@@ -27,6 +27,18 @@ def slab(cos_i, eta):
     return 2 * r / (1 + r)
 
 
+def vectors(v):
+    """Mitsuba's vectors of an array of shape ``(..., 3)``.
+
+    Gathered: what NumPy has allocated may not be aligned, which is another kernel.
+    """
+    flat = mi.Float(np.float32(v).ravel())
+    n = dr.width(flat) // 3
+    found = dr.gather(mi.Vector3f, flat, dr.arange(mi.UInt32, n))
+    dr.eval(found)
+    return found
+
+
 def eval_flux(bsdf, theta_i, phi_i, wo, *, side="front", nm=None):
     """``eval``, which includes the cosine, in importance mode; degrees and world frame.
 
@@ -47,8 +59,7 @@ def eval_flux(bsdf, theta_i, phi_i, wo, *, side="front", nm=None):
     si.wi = mi.Vector3f(wi.tolist())
     dr.make_opaque(si.wi)  # one kernel for all directions
     ctx = mi.BSDFContext(mi.TransportMode.Importance)
-    vectors = mi.Vector3f(np.ascontiguousarray(wo.T, dtype=np.float32))
-    values = np.array(bsdf.eval(ctx, si, vectors), dtype=float)
+    values = np.array(bsdf.eval(ctx, si, vectors(wo)), dtype=float)
     return np.broadcast_to(
         values.reshape(-1, values.shape[-1]).T, (len(wo), len(values))
     )

@@ -18,6 +18,7 @@ from closed_forms import fresnel, slab
 
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
+from gonio_mi.threads import two_threads
 
 SCENES = Path(__file__).parents[3] / "scenes"
 NAMES = sorted(path.stem for path in SCENES.glob("*.xml"))
@@ -26,7 +27,8 @@ NAMES = sorted(path.stem for path in SCENES.glob("*.xml"))
 def render(name, **parameters):
     """Map and record of a scene file."""
     path = str(SCENES / f"{name}.xml")
-    scene = mi.load_file(path, **{k: str(v) for k, v in parameters.items()})
+    with two_threads():
+        scene = mi.load_file(path, **{k: str(v) for k, v in parameters.items()})
     image = mi.render(scene)
     return np.array(image), scene.sensors()[0].film().record
 

@@ -14,7 +14,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from budget import Verdict, agree, count_verdict, disagree, scores, single, verdict
-from closed_forms import patch_fluxes
+from closed_forms import patch_fluxes, vectors
 from scipy import special, stats
 
 import gonio_mi as gonio
@@ -134,10 +134,6 @@ def interaction(wi, nm=550.0):
     return si
 
 
-def vectors(v):
-    return mi.Vector3f(np.ascontiguousarray(np.reshape(v, (-1, 3)).T, np.float32))
-
-
 def array(x, n):
     """Float64 of shape (n, channels) of a spectrum, (n,) of a number."""
     values = np.array(x, dtype=float)
@@ -158,6 +154,7 @@ def evaluate(bsdf, wi, wo, **masks):
     """`eval` of one channel and `pdf`, float64 of shape (n,)."""
     n = max(np.size(wi), np.size(wo)) // 3
     value, pdf = bsdf.eval_pdf(context(**masks), interaction(wi), vectors(wo))
+    dr.eval(value, pdf)
     return array(value, n)[:, 0], array(pdf, n)
 
 
@@ -166,8 +163,9 @@ def draw(bsdf, wi, n=10**5, seed=1, **masks):
     samples = np.random.default_rng(seed).random((3, n), dtype=np.float32)
     # the corners of the unit square
     samples[1:, :4] = np.indices((2, 2)).reshape(2, 4) * (1 - EPS)
-    one, two = mi.Float(samples[0]), mi.Point2f(samples[1:])
-    bs, weight = bsdf.sample(context(**masks), interaction(wi), one, two)
+    *two, one = vectors(samples[[1, 2, 0]].T)
+    bs, weight = bsdf.sample(context(**masks), interaction(wi), one, mi.Point2f(two))
+    dr.eval(bs, weight)
     return bs, array(weight, n)
 
 
@@ -535,9 +533,11 @@ def check_weights(bsdf, mode):
         bs, weight = draw(bsdf, wi, 20000, mode=mode)
         n = len(weight)
         value, pdf = bsdf.eval_pdf(ctx, interaction(wi), bs.wo)
+        alone = [f(ctx, interaction(wi), bs.wo) for f in (bsdf.eval, bsdf.pdf)]
+        dr.eval(value, pdf, alone)
         # exact: one computation
-        assert dr.all(value == bsdf.eval(ctx, interaction(wi), bs.wo), axis=None)
-        assert dr.all(pdf == bsdf.pdf(ctx, interaction(wi), bs.wo))
+        assert dr.all(value == alone[0], axis=None)
+        assert dr.all(pdf == alone[1])
         drawn = array(bs.pdf, n)
         value, pdf = array(value, n), array(pdf, n)
         assert np.isfinite([weight[:, 0], value[:, 0], pdf, drawn]).all()

@@ -1,5 +1,6 @@
 """The first order of mirror facets: a sum, and rays for what it leaves open."""
 
+import functools
 import warnings
 
 import mitsuba as mi
@@ -173,20 +174,25 @@ def test_the_error_falls():
     assert 0 < high - low < 0.02
 
 
+@functools.cache
+def truth():
+    """A long run of `weighted`."""
+    return measured(field(0.5), 30, "weighted", rays=2**21, seed=99)
+
+
 @pytest.mark.parametrize("rays", [500, 8000])
 def test_coverage(rays):
-    """Of patches and of the total, by a long run of `weighted`; twin: half as wide.
+    """Of patches and of the total; twin: intervals of half the width.
 
     Of few rays, that by Student's t alone: few of them change a patch.
     """
-    shape = mi.load_dict(field(0.5))
-    truth = measured(shape, 30, "weighted", rays=2**22, seed=99)
+    shape, brdf = mi.load_dict(field(0.5)), truth().brdf
     covered, halved, totals, students = [], [], [], []
     for seed in range(40):
         record = measured(shape, 30, rays=rays, seed=seed)
         low, high = record.interval(0.95)
-        covered.append(((low <= truth.brdf) & (truth.brdf <= high)).mean())
-        off = abs(record.brdf - truth.brdf)
+        covered.append(((low <= brdf) & (brdf <= high)).mean())
+        off = abs(record.brdf - brdf)
         halved.append((off <= (high - low) / 4).mean())
         (tally,) = record.tallies
         scatter = (tally.sums[:, 0] / tally.incident[:, None, None]).std(0, ddof=1)

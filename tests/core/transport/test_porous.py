@@ -75,7 +75,8 @@ def measured(parts, rho, theta_i, phi_i, **settings):
 def test_direct_light_is_that_of_the_closed_form(name):
     """Counted independent rays: exact binomial."""
     parts, rho, theta_i, phi_i = SPECIMENS[name]
-    record = measured(parts, rho, theta_i, phi_i, sampler="independent")
+    how = {"sampler": "independent", "batches": 1}
+    record = measured(parts, rho, theta_i, phi_i, **how)
     n, share = record.ledger.emitted, direct_share(parts, theta_i, phi_i)
     assert record.direct == record.ledger.direct / n
     spread = np.sqrt(n * share * (1 - share))
@@ -152,10 +153,10 @@ def straight_on(theta_i, phi_i):
 
 @pytest.mark.parametrize("estimator", ESTIMATORS)
 def test_orders_and_direct_light_add_up(estimator):
-    """Exact: the sums of orders 0, 1, 2 and 3+ are those of all rays."""
+    """Exact: the sums of orders 0, 1 and 2+ are those of all rays."""
     total, *by_order = (
         measured(*SPECIMENS["grid"], order=order, estimator=estimator, rays=10_000)
-        for order in ("all", 0, 1, 2, "3+")
+        for order in ("all", 0, 1, "2+")
     )
     (tally,) = total.tallies
     tallies = [record.tallies[0] for record in by_order]
@@ -167,7 +168,7 @@ def test_orders_and_direct_light_add_up(estimator):
     assert by_order[0].direct == by_order[0].dht == total.direct > 0
     assert by_order[1].ledger.other_order > 0 == total.ledger.other_order
     assert all(record.ledger.emitted == 10_000 for record in by_order)
-    assert [record.direct[0] for record in by_order[1:]] == [0, 0, 0]
+    assert [record.direct[0] for record in by_order[1:]] == [0, 0]
     assert all(np.array_equal(t.incident, tally.incident) for t in tallies)
 
 
@@ -252,8 +253,7 @@ def test_porous_specimen_is_reciprocal():
     """
     parts, rho = [Slat(1, 0, 0, 0.7, 25), Slat(0, 0, -1, 0.3, -40)], 0.8
     pairs = [(20, 60, 0, 180), (70, 30, 120, 40), (10, 75, 300, 100), (50, 60, 90, 350)]
-    settings = {"batches": 64, "rays": 2**17}
-    settings["estimator"] = "next_event"
+    settings = {"batches": 64, "rays": 2**15, "estimator": "next_event"}
 
     def aimed(theta_i, phi_i, theta_o, phi_o):
         """BRDF and its standard error, and what passes."""
@@ -298,6 +298,8 @@ def test_intervals_cover_what_is_known(estimator, sampler):
     specimen = load_specimen(plate(0.45, 0.55, rho))
     settings = {"estimator": estimator, "sampler": sampler, "rays": 4000}
     settings |= {"collector": patches, "period": (1, 1)}
+    if sampler == "independent":
+        settings["batches"] = 4  # each of which is a launch of its own
     for seed in range(runs):
         record = gonio.measure(specimen, 30, 20, seed=seed, **settings)
         for of, truth in truths.items():
@@ -367,7 +369,7 @@ def test_exports_are_not_silent(tmp_path):
         export(missed, tmp_path / "screen.csv")
     porous = gonio.measure(screen, [0, 50], **settings, period="box")
     with pytest.warns(RuntimeWarning) as told:
-        export(porous, tmp_path / "screen.xml")
+        export(porous, tmp_path / "screen.xml", "klems-quarter")
     messages = [str(one.message) for one in told]
     assert len(messages) == 2
     assert "describes light from the front only, and the back reflects" in messages[1]

@@ -47,9 +47,11 @@ def sobol():
 def numbers(sobol, index, seed, draw):
     """Scrambled numbers as uint32, for scalars or arrays that broadcast."""
     index, seed = np.broadcast_arrays(np.uint32(index), np.uint32(seed))
-    bits = sobol.sobol_number(
-        mi.UInt32(index.ravel()), mi.UInt32(seed.ravel()), mi.UInt32(draw)
-    )
+    # gathered: what NumPy has allocated may not be aligned, which is another kernel
+    both = mi.UInt32(np.stack([index, seed], axis=-1).ravel())
+    n = dr.arange(mi.UInt32, index.size)
+    both = [dr.gather(mi.UInt32, both, 2 * n + i) for i in (0, 1)]
+    bits = sobol.sobol_number(*both, dr.opaque(mi.UInt32, draw))
     return bits.numpy().reshape(index.shape)
 
 
@@ -57,9 +59,9 @@ def draw_all(sampler, pattern=(2, 1, 2, 1, 1)):
     """Array of the numbers of one ray a column, drawn in 2D and 1D."""
     rows = []
     for n in pattern:
-        drawn = sampler.next_2d() if n == 2 else [sampler.next_1d()]
-        rows += [x.numpy() for x in drawn]
-    return np.array(rows)
+        rows += [*sampler.next_2d()] if n == 2 else [sampler.next_1d()]
+    dr.eval(rows)
+    return np.array([row.numpy() for row in rows])
 
 
 # ------------------------------------------------------------------ the points
