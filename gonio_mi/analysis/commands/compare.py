@@ -23,6 +23,7 @@ differ by more than chance explains; 2: patches cannot decide it.
 
 import re
 from argparse import ArgumentParser, Namespace
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +61,7 @@ MEASURED = ("rays", "rel_err", "divergence")
 
 # What names a specimen, and no table.
 SCENES = (".xml", *MESHES)
-SPECIMEN = re.compile(r"[A-Za-z_]\w*(:.*)?")
+SPECIMEN = re.compile(r"[A-Za-z_]\w+(:.*)?")
 
 
 def add_options(parser: ArgumentParser) -> None:
@@ -137,17 +138,29 @@ def run(options: Namespace) -> int:
     return DONE if comparison.passed else FAILED
 
 
+def names_specimen(word: str) -> bool:
+    """Whether a word is a scene, a mesh or a BSDF, and no record, table or file."""
+    is_word = SPECIMEN.fullmatch(word) and not Path(word).exists()
+    return bool(is_word) or Path(word).suffix.lower() in SCENES
+
+
+def check_not_measured(what: str, options: Namespace, names: Sequence[str]) -> None:
+    """Raise ValueError for an option of specimens that are measured; nothing is."""
+    given = [option_of(name) for name in given_options(options, names)]
+    for option in given + ["-D"] * bool(options.parameters):
+        raise SettingError(
+            f"{option} applies to a specimen that is to be measured, got {what}"
+        )
+
+
 def _is_record(path: str) -> bool:
-    return Path(path).suffix.lower() in files.ENDINGS
+    return not names_specimen(path) and Path(path).suffix.lower() in files.ENDINGS
 
 
 def _other(options: Namespace) -> Any:
     """Record or table that OTHER is; None if it is a specimen."""
     word = options.other
-    names_specimen = Path(word).suffix.lower() in SCENES or (
-        SPECIMEN.fullmatch(word) and not Path(word).exists()
-    )
-    if _is_record(word) or (names_specimen and _is_record(options.record)):
+    if _is_record(word) or (names_specimen(word) and _is_record(options.record)):
         check_no_table_options(word, options)
         return record_of(word) if _is_record(word) else None
     if is_table(options.record):
@@ -182,11 +195,9 @@ def _record_and_specimen(options: Namespace, other: Any) -> tuple[Any, Any, Any]
         own = record.provenance.variant or DEFAULT_VARIANT
         options.variant = options.variant or own
         return record, *specimen_of(options.other, options)
-    for name in given_options(options, ("aperture_half_angle", *MEASURED)):
-        raise SettingError(
-            f"{option_of(name)} applies to a specimen that is to be measured, got "
-            f"the record {word}"
-        )
+    check_not_measured(
+        f"the record {word}", options, ("aperture_half_angle", *MEASURED)
+    )
     return record_of(word), None, None
 
 

@@ -1,21 +1,28 @@
-"""``gonio-mi fit``: find the parameters of a BSDF from a record or a measured table.
+"""``gonio-mi fit``: find the parameters of a BSDF from a record, a table or a specimen.
 
-Find the parameters with which a BSDF is closest to a record or to a table of measured
-values, their uncertainties from the noise of the one or what the other states, and what
-the model cannot follow. A rough model without its distribution is tried with both,
-Beckmann and GGX, the closer one first.
+Find the parameters with which a BSDF is closest to a record, to a table of measured
+values, or to a specimen that is measured first; their uncertainties from the noise of
+the record, what the table states, or how the model misses; and what the model cannot
+follow. A rough model without its distribution is tried with both, Beckmann and GGX, the
+closer one first.
 
 examples:
   gonio-mi fit run.npz roughconductor
+  gonio-mi fit principled:roughness=0.5 roughconductor
   gonio-mi fit run.npz roughconductor:distribution=ggx principled -o fits.png
   gonio-mi fit run.npz roughconductor:material=Al --free alpha_u alpha_v
   gonio-mi fit table.csv roughplastic --quantity brdf -o fit.png fit.csv
   gonio-mi fit table.csv diffuse --uncertainty 0.01 --aperture-half-angle 1
   gonio-mi fit run.npz mybsdf:tint=0.5 --free weight=0:1 --plugin mybsdf.py
+
+What is looked at comes first, the models to be fitted come after it. The eval of a flat
+specimen without delta components is integrated, unless rays are asked for.
 """
 
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator
+from itertools import chain
+from typing import Any
 
 from ... import files
 from ...commands.arguments import (
@@ -24,13 +31,17 @@ from ...commands.arguments import (
     add_aperture,
     add_files,
     add_json,
+    add_scene_options,
+    add_setting,
     add_table_options,
     add_text,
     add_uncertainties,
     check_no_table_options,
     given_options,
+    number,
     say,
     set_variant,
+    specimen_of,
     table_of,
     tell,
     tell_json,
@@ -38,13 +49,21 @@ from ...commands.arguments import (
 )
 from ...commands.file_kinds import record_of
 from ...errors import SettingError
-from ...files.measured_table import MeasuredTable
-from ...results.record import Record
+from .compare import check_not_measured, names_specimen
 
-USAGE = "%(prog)s RECORD|TABLE MODEL ... [options]"
+USAGE = "%(prog)s RECORD|TABLE|SPECIMEN MODEL ... [options]"
 
 # What may be stated of a table beside how it is read.
 STATED = ("uncertainty", "scale_uncertainty", "aperture_half_angle")
+
+# What may be said of how a specimen is measured, beside its angles.
+SETTINGS = ("collector", "rays", "rel_err", "estimator", "side", "wavelengths", "seed")
+MEASURED = ("theta_i", "phi_i", *SETTINGS)
+RAYS = "none where the specimen is flat and has no delta components, else 1e6"
+DEFAULTS = {"rays": RAYS, "estimator": "quadrature where it needs no rays, or weighted"}
+
+# Options of some measurements only, for --help-all.
+RARE = ("--rel-err", "--estimator", "--side", "--wavelengths", "--seed")
 
 # Models that have a distribution of micro-normals to choose.
 ROUGH = ("roughconductor", "roughdielectric", "roughplastic")
@@ -52,25 +71,25 @@ ROUGH = ("roughconductor", "roughdielectric", "roughplastic")
 
 def add_options(parser: ArgumentParser) -> None:
     """Add the options of the command to its parser."""
-    text = "An .exr or .npz file, or a table in any format of gonio-mi compare."
-    add_text(parser, "record", "RECORD|TABLE", text)
-    add_text(
-        parser,
-        "models",
-        "MODEL",
-        "A BSDF in one word with its known parameters, such as roughconductor, "
-        "roughdielectric:int_ior=1.5, roughplastic, diffuse or principled.",
-        nargs="+",
-    )
-    add_text(
-        parser,
-        "--free",
-        "NAME",
-        "Parameters to be found, or NAME=LOW:HIGH. Default: the usual ones of the "
-        "model.",
-        nargs="+",
-    )
-    add_files(parser, "--plugin", text="Python files that register Mitsuba plugins.")
+    text = "An .exr or .npz file, a table in any format of gonio-mi compare, or a "
+    text += "scene file or a BSDF such as principled:roughness=0.5, to be measured."
+    add_text(parser, "record", "RECORD|TABLE|SPECIMEN", text)
+    text = "A BSDF in one word with its known parameters, such as roughconductor, "
+    text += "roughdielectric:int_ior=1.5, roughplastic, diffuse or principled."
+    add_text(parser, "models", "MODEL", text, nargs="+")
+    text = "Parameters to be found, or NAME=LOW:HIGH. Default: the model's usual ones."
+    add_text(parser, "--free", "NAME", text, nargs="+")
+    specimen = parser.add_argument_group("Specimen")
+    several: dict[str, Any] = {"nargs": "+", "type": number}
+    text = "Angles of incidence in [0, 90). Default: 24 45 66."
+    add_text(specimen, "--theta-i", "DEG", text, **several)
+    text = "Azimuths of incidence, each combined with each --theta-i. Default: 0."
+    add_text(specimen, "--phi-i", "DEG", text, **several)
+    for name in SETTINGS:
+        add_setting(specimen, name, DEFAULTS.get(name))
+    add_scene_options(parser)
+    # that of the record, or what a table's channel needs
+    parser.set_defaults(variant=None)
     table = parser.add_argument_group("Table")
     add_table_options(table)
     add_uncertainties(table, "the table")
@@ -92,42 +111,44 @@ def run(options: Namespace) -> int:
     predictions = [path for path in options.output if path not in pictures]
     for path in pictures:
         check_picture(path)
-    is_record = options.record.lower().endswith(files.ENDINGS)
+    word, told = options.record, given_options(options, (*STATED, *MEASURED))
+    measured = names_specimen(word)
+    is_table = not measured and not word.lower().endswith(files.ENDINGS)
     for path in predictions:
-        files.check_output(path, files.ENDINGS if is_record else (".csv",))
-    record: Record | MeasuredTable
-    if is_record:
-        check_no_table_options(options.record, options, STATED)
-        record = record_of(options.record)
-        set_variant(record.provenance.variant or DEFAULT_VARIANT)
+        files.check_output(path, (".csv",) if is_table else files.ENDINGS)
+    if not is_table:
+        check_no_table_options(word, options, STATED)
+    record: Any
+    if measured:
+        options.variant = options.variant or DEFAULT_VARIANT
+        record, told["parameters"] = specimen_of(word, options)
     else:
-        record = table_of(options.record, options)
-        set_variant(variant_for(record.channel))
-    for path in options.plugin:
-        load_plugin_file(path)
-    stated = given_options(options, STATED)
-    fits = [
-        fit(record, model, options.free, progress=True, **stated)
-        for given in options.models
-        for model in _distributions(given)
-    ]
+        check_not_measured(word, options, ("variant", *MEASURED))
+        record = table_of(word, options) if is_table else record_of(word)
+        own = variant_for(record.channel) if is_table else record.provenance.variant
+        set_variant(own or DEFAULT_VARIANT)
+        for path in options.plugin:
+            load_plugin_file(path)
+    fits = []
+    for model in chain(*map(_distributions, options.models)):
+        fits.append(fit(record, model, options.free, progress=True, **told))
+        record, told = fits[-1].record, {}  # measured, or told, once
     fits.sort(key=lambda one: (one.scatter, one.chi2))
     for path in pictures:
         fit_figure(fits, path)
     for path in predictions:
         fits[0].prediction.save(path)
     if options.json:
-        found = [one.to_dict() for one in fits]
-        tell_json(found)
+        tell_json([one.to_dict() for one in fits])
     else:
-        by = "chi-square" if fits[0].scatter is None else "scatter of the points"
+        by = "chi-square" if fits[0].scatter is None else "scatter about the model"
         for i, one in enumerate(fits):
             if len(fits) > 1 and i < 2:
                 closest = f"closest of {len(fits)} models, by {by}:"
                 tell("further from it:" if i else closest)
             tell(one)
     write = say if options.json else tell
-    for note in record.notes if isinstance(record, MeasuredTable) else ():
+    for note in record.notes if is_table else [f"measured {record!r}"] * measured:
         write(f"note: {note}")
     return DONE
 

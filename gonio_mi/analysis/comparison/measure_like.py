@@ -194,7 +194,7 @@ def _in_apertures(
                 "collector": Apertures(half_angle, tuple(group)),
                 "seed": _other_seed(seed, n) if n or table.rays else seed,
             }
-            records.append(_first_that_can(specimen, ways, own))
+            records.append(first_that_can(specimen, ways, own))
     if not records:
         raise SettingError(
             f"each aperture of half-angle {half_angle:g} degrees of {table.name} "
@@ -235,7 +235,7 @@ def _ways(table: MeasuredTable) -> list[dict[str, Any]]:
     return ways
 
 
-def _first_that_can(
+def first_that_can(
     specimen: SpecimenLike, ways: list[dict[str, Any]], own: dict[str, Any]
 ) -> Record:
     """Record in the first of the `ways` that can; those before it are dropped.

@@ -1,4 +1,4 @@
-"""Parameters of a BSDF from a record or a table, with their uncertainties."""
+"""Parameters of a BSDF from a record, a table or a specimen, with uncertainties."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ from ...array_types import Floats
 from ...errors import SettingError
 from ...files.measured_table import MeasuredTable
 from ...instrument.measure import measure_each
-from ...instrument.specimen_text import parse_specimen, specimen_name
+from ...instrument.specimen_text import SpecimenLike, parse_specimen, specimen_name
 from ...progress import bar
 from ...reports.page import picture_and_text
 from ...results.azimuth_symmetry import without_copies
 from ...results.record import Record, wavelengths_nm
 from ...transport.kernels import launches_kernels
 from ..comparison.comparison import known
+from ..comparison.measure_like import PRECISION_SETTINGS, first_that_can
 from .least_squares import FittedModel, Search
 from .observations import Observations, RecordObservations, TableObservations
 
@@ -29,10 +30,14 @@ from .observations import Observations, RecordObservations, TableObservations
 # more than a part of its uncertainty, or of itself, which no node would notice.
 MAX_ROUNDS, MAX_MOVE_STD_ERRS, MAX_REL_MOVE = 8, 0.02, 1e-3
 
+# Angles at which a specimen is measured, in degrees: the middles of three equal parts
+# of the projected solid angle, from which diffuse light comes in equal shares.
+THETA_I = (24.0, 45.0, 66.0)
+
 
 @launches_kernels()
 def fit(
-    record: Record | MeasuredTable,
+    record: Record | MeasuredTable | SpecimenLike,
     model: str | Mapping[str, Any],
     free: Sequence[str] | None = None,
     *,
@@ -40,8 +45,9 @@ def fit(
     scale_uncertainty: float | None = None,
     aperture_half_angle: float | None = None,
     progress: bool = False,
+    **settings: Any,
 ) -> Fit:
-    """Find the parameters with which a BSDF is closest to a record or a table.
+    """Find the parameters with which a BSDF looks like a record, a table or a specimen.
 
     Minimised is chi-square, the sum over the patches of all incident directions of the
     squared differences of record and model over their variances; the model's patches
@@ -52,11 +58,15 @@ def fit(
 
     Parameters
     ----------
-    record : Record or MeasuredTable
+    record : Record, MeasuredTable, dict, str or path
         Of a collimated beam, with error bars. A table's values are means over its
         aperture, or over its patches as in one that :func:`gonio_mi.export` wrote, or
         if it states neither, the BSDF in its directions; without any uncertainty they
-        are taken for uncertain by one part of themselves.
+        are taken for uncertain by one part of themselves. Patches of integrals, which
+        have no noise, by one part of themselves and their mean. A specimen is measured
+        at 24, 45 and 66 degrees of incidence, the middles of three equal parts of
+        diffuse light: its ``eval`` is integrated (``quadrature``) where it is flat and
+        has no delta components, else it is sampled.
     model : str or dict
         BSDF plugin with what is known of it: ``"roughconductor:distribution=ggx"``.
     free : sequence of str, optional
@@ -73,6 +83,8 @@ def fit(
         Of the detector in degrees, if a table does not say it.
     progress : bool
         Show a progress bar on standard error.
+    **settings
+        Of :func:`~gonio_mi.measure`, for a specimen: other angles, `rays`.
 
     Returns
     -------
@@ -91,16 +103,14 @@ def fit(
         "scale_uncertainty": scale_uncertainty,
         "aperture_half_angle": aperture_half_angle,
     }
+    if not isinstance(record, (Record, MeasuredTable)):
+        FittedModel(bsdf, free, ("Y",))  # refused before anything is measured
+        record = _measured(record, settings, progress)
+    elif settings:
+        raise SettingError(f"{min(settings)} applies to a specimen, got none")
     record = _as_told(record, {k: v for k, v in told.items() if v is not None})
-    observations: list[Observations] = []
-    channels: tuple[str, ...] = ("Y",)
-    if isinstance(record, MeasuredTable):
-        _check_table(record)
-        observations.append(TableObservations(record))
-    else:
-        _check(record)
-        observations += map(RecordObservations, record)
-        channels = record.channels
+    observations = _observations(record)
+    channels = record.channels if isinstance(record, Record) else ("Y",)
     fitted = FittedModel(bsdf, free, channels)
     with bar(progress, desc=f"fit of {bsdf['type']}", unit="prediction") as report:
         search = Search(observations, fitted, report)
@@ -110,7 +120,9 @@ def fit(
     chi2 = float(np.sum(search.residuals(predicted) ** 2))
     dof, scatter = predicted.size - len(values), None
     if not all(one.stated for one in observations):
-        covariance, chi2 = covariance * chi2 / dof, float(dof)
+        # not less than what the errors of integrals are, of a record of such
+        least = float(isinstance(record, Record))
+        covariance, chi2 = covariance * max(chi2 / dof, least), float(dof)
         scatter = float(np.sqrt(search.misfit(predicted) / dof))
     misplaced = np.abs(predicted - search.values).sum() / search.values.sum() / 2
     return Fit(
@@ -150,6 +162,18 @@ def _found(search: Search) -> tuple[Floats, Floats]:
     return values, covariance
 
 
+def _measured(
+    specimen: SpecimenLike, settings: dict[str, Any], progress: bool
+) -> Record:
+    """Record of a specimen: integrals, or else rays; those where they are asked for."""
+    given = {name: value for name, value in settings.items() if value is not None}
+    ways: list[dict[str, Any]] = [{"estimator": "quadrature"}, {}]
+    if isinstance(specimen, str):
+        specimen = parse_specimen(specimen)
+    own = {"theta_i": THETA_I, "progress": progress} | given
+    return first_that_can(specimen, ways[bool(PRECISION_SETTINGS & own.keys()) :], own)
+
+
 def _as_told(
     record: Record | MeasuredTable, told: dict[str, Any]
 ) -> Record | MeasuredTable:
@@ -161,6 +185,15 @@ def _as_told(
     if record.aperture_half_angle is not None:
         told.pop("aperture_half_angle", None)
     return replace(record, **told)
+
+
+def _observations(record: Record | MeasuredTable) -> Sequence[Observations]:
+    """What a fit looks at, of each incident direction or of a whole table."""
+    if isinstance(record, MeasuredTable):
+        _check_table(record)
+        return [TableObservations(record)]
+    _check(record)
+    return [RecordObservations(single) for single in record]
 
 
 def _check_table(table: MeasuredTable) -> None:
@@ -236,8 +269,9 @@ class Fit:
     at_limit : tuple of str
         Parameters that would go beyond what they may be.
     scatter : float, optional
-        Of a table that states no uncertainty: how far its points are from the model,
-        relative, root mean square. `chi2` is then that of points as uncertain as that.
+        Of a table that states no uncertainty, or a record of integrals: how far its
+        points are from the model, relative, or its patches, relative to themselves and
+        their mean; root mean square. `chi2` is then that of points as uncertain.
     """
 
     record: Record | MeasuredTable
@@ -349,18 +383,19 @@ class Fit:
             line += f"  (correlation {', '.join(others)})" if others else ""
             line += "  (at its limit)" if name in self.at_limit else ""
             lines.append(line)
-        if self.scatter is not None:
-            lines.append(
-                "  the table states no uncertainty: +- is one standard error from how "
-                f"its points scatter about the model, by {100 * self.scatter:.3g} % "
-                "(rms)"
-            )
-            if self.scatter > MAX_SCATTER:
-                lines.append("  the model does not follow the table: +- says little")
-            return "\n".join(lines)
+        what, why, places = "record", "integrals have no noise", "patches"
         left = f"{100 * self.misplaced:.3g} % misplaced flux"
         if isinstance(self.record, MeasuredTable):
+            what, why, places = "table", "the table states no uncertainty", "points"
             left = f"points differ by {200 * self.misplaced:.3g} % of their mean"
+        if self.scatter is not None:
+            lines.append(
+                f"  {why}: +- is one standard error from how {places} scatter about "
+                f"the model, by {100 * self.scatter:.3g} % (rms); {left}"
+            )
+            if self.scatter > MAX_SCATTER:
+                lines.append(f"  the model does not follow the {what}: +- says little")
+            return "\n".join(lines)
         lines.append(
             f"  +- is one standard error; chi-square per degree of freedom "
             f"{self.reduced_chi2:.3g} ({self.dof} degrees of freedom), {left}"

@@ -372,6 +372,8 @@ class LoadedModel:
             parameters.update()
             return bsdf
         bsdf = loaded("the model", mi.load_dict, wanted)
+        if not isinstance(bsdf, mi.BSDF):
+            raise SettingError(f"model must be a BSDF, got {shown(bsdf)}")
         if colours:
             parameters = mi.traverse(bsdf)
             if all(f"{name}.value" in parameters for name in colours):

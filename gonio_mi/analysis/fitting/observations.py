@@ -12,6 +12,7 @@ from ...collector.directions import direction
 from ...errors import SettingError
 from ...files.measured_table import MeasuredTable
 from ...results.record import Record
+from ...results.tally import without_chance
 from .predictions import ConePredictions, PatchPredictions
 
 # Relative error of the integrals of a model, in no error bar of a record of integrals;
@@ -35,10 +36,10 @@ class RecordObservations:
     predictions : list of PatchPredictions or of ConePredictions
         What predicts them, one after the other, ``[order]``.
     stated : bool
-        Whether uncertainties of the values are known, and not only how they compare.
+        Whether uncertainties of the values are known, and not only how they compare,
+        as of integrals, which have no noise.
     """
 
-    stated = True
     order: Any = slice(None)
 
     def __init__(self, single: Record) -> None:
@@ -48,6 +49,7 @@ class RecordObservations:
         (self._tally,) = single.tallies
         integrated = single.asked.estimator.integrates
         self._has_batches = not integrated and self._tally.n_batches > 1
+        self.stated = not without_chance(single.tallies)
 
     def variances(self, predicted: Floats) -> Floats:
         """Variances for weights: the record's, shared among like detectors."""
@@ -62,17 +64,19 @@ class RecordObservations:
         return np.maximum(pooled(found, hits.astype(np.int64), predicted), least**2)
 
     def misfit(self, predicted: Floats) -> float:
-        """Chi-square."""
-        return float(np.sum((predicted - self.values) ** 2 / self.variances(predicted)))
+        """Chi-square; of integrals, of distances relative to value and mean."""
+        relative = self.values + self.values.mean()
+        variances = self.variances(predicted) if self.stated else relative**2
+        return float(np.sum((predicted - self.values) ** 2 / variances))
 
     def propagated(
         self,
         estimate: Floats,
-        variances: Floats,  # noqa: ARG002 (shared ones)
+        variances: Floats,
     ) -> Floats:
         """Covariance of a linear estimate: by batches, detectors together."""
         if not self._has_batches:
-            return (estimate * self._std_errs() ** 2) @ estimate.T
+            return (estimate * variances) @ estimate.T
         incident = self._tally.incident.astype(float)[:, None, None, None]
         batches = np.stack([self._kept(one) for one in self._tally.sums / incident])
         each = batches @ estimate.T

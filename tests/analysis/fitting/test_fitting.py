@@ -334,7 +334,7 @@ def test_command_fits_a_table(tmp_path, capsys):
     table_of(METAL).save(tmp_path / "exact.csv")
     assert main(["fit", str(tmp_path / "exact.csv"), "diffuse", model]) == 0
     said = capsys.readouterr().out
-    assert said.startswith("closest of 2 models, by scatter of the points:\n")
+    assert said.startswith("closest of 2 models, by scatter about the model:\n")
     assert main(["fit", str(tmp_path / "a.csv"), model, "-o", "b.npz"]) == 1
     named = tmp_path / "named.csv"
     text = (tmp_path / "a.csv").read_text().replace(",value", ",BRDF*cos")
@@ -536,6 +536,96 @@ def test_command(tmp_path, capfd):
     assert "--quantity applies to tables" in capfd.readouterr().err
     assert main(["fit", str(tmp_path / "a.npz"), "scenes/lambertian.xml"]) == 1
     assert "must be a BSDF in one word" in capfd.readouterr().err
+
+
+SHINY = "principled:roughness=0.5,metallic=1,base_color=1"
+
+
+def test_a_specimen_is_measured_first():
+    """Exact: as its record; convergence: alpha of a roughness is its square.
+
+    Twin: of another roughness, or with another distribution, it is not.
+    """
+    model, how = "roughconductor:distribution=ggx", {"collector": "projected:3x4"}
+    found = gonio.fit(SHINY, model, **how)
+    assert np.allclose(found.values, [0.25, 1.0], rtol=INTEGRALS, atol=0)
+    assert found.record.theta_i.tolist() == [24, 45, 66]
+    assert "integrals have no noise" in str(found)
+    again = gonio.fit(found.record, model)
+    assert np.array_equal(again.values, found.values)
+    assert np.array_equal(again.std_errs, found.std_errs)
+    other = gonio.fit(SHINY.replace("0.5", "0.51"), model, **how)
+    assert not np.isclose(other.values[0], 0.25, rtol=10 * INTEGRALS, atol=0)
+    beckmann = gonio.fit(found.record, "roughconductor:distribution=beckmann")
+    assert not np.isclose(beckmann.values[0], 0.25, rtol=10 * INTEGRALS, atol=0)
+    assert beckmann.scatter > 1e3 * max(found.scatter, INTEGRAL_ERR)
+    assert "the model does not follow the record" in str(beckmann)
+    assert "does not follow" not in str(found)
+
+
+def test_what_cannot_be_integrated_is_sampled():
+    """Delta components, and rays where they are asked for; else none is sent."""
+    how = {"theta_i": 40, "collector": "projected:3x4"}
+    for specimen, more in (("plastic", {}), ("diffuse", {"rays": 10_000})):
+        record = gonio.fit(specimen, "diffuse", **how, **more).record
+        assert record.ledger.emitted == more.get("rays", 1_000_000)
+    assert gonio.fit("diffuse", "diffuse", **how).record.ledger.emitted == 0
+
+
+def test_errors_of_integrals_are_those_of_what_is_left():
+    """Rounding: of derivatives, as above. Weighted least squares of a scaled cosine.
+
+    Twin: errors of the integrals alone are a hundred times smaller.
+    """
+    found = gonio.fit("roughconductor:alpha=0.5", "diffuse", collector="projected:3x4")
+    record = found.record
+    solid = record.subdivision.projected_solid_angles[..., None]
+    share = np.broadcast_to(solid / np.pi, record.brdf.shape).ravel()
+    flux, own = (record.brdf * solid).ravel(), (record.brdf_std_err * solid).ravel()
+    means = np.repeat(flux.reshape(3, -1).mean(axis=1), 12)
+    weights = 1 / (own**2 + (INTEGRAL_ERR * (flux + means)) ** 2)
+    value = (weights * share * flux).sum() / (weights * share**2).sum()
+    chi2 = (weights * (flux - value * share) ** 2).sum() / (len(flux) - 1)
+    alone = 1 / np.sqrt((weights * share**2).sum())
+    rounding = SINGLE / REL_STEP
+    assert np.isclose(found.values[0], value, rtol=rounding, atol=0)
+    assert np.isclose(found.std_errs[0], np.sqrt(chi2) * alone, rtol=rounding, atol=0)
+    assert found.std_errs[0] > 100 * alone
+
+
+def test_command_on_a_specimen(capfd):
+    """The right distribution first, what was measured, and what is left."""
+    how = ["--theta-i", "40", "--collector", "projected:4x8"]
+    assert main(["fit", SHINY, "roughconductor", *how]) == 0
+    first, other = capfd.readouterr().out.split("further from it:\n")
+    assert first.startswith("closest of 2 models, by scatter about the model:\n")
+    assert "distribution=ggx,alpha=0.25,specular_reflectance=1.0\n" in first
+    assert other.startswith("roughconductor:distribution=beckmann,")
+    assert other.count("% misplaced flux") == 1
+    assert f"note: measured <Record of {SHINY}: projected:4x8, incident" in other
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("none.npz diffuse", "there is no file none.npz"),
+        ("none.xml diffuse", "there is no file none.xml"),
+        ("hg diffuse", "specimen must be a BSDF, a shape or a scene"),
+        ("diffuse hg --free g=0:1", "model must be a BSDF, got HGPhaseFunction"),
+        ("diffuse conductor", "free must name what is to be found of conductor"),
+        ("diffuse diffuse:reflectance=0.5", "not what is given, got nothing"),
+        ("diffuse diffuse --uncertainty 0.1", "--uncertainty applies to tables only"),
+        ("diffuse diffuse -D a=1", "-D applies to scene files only"),
+        ("a.npz diffuse --rays 1e4", "--rays applies to a specimen that is to be"),
+        ("a.npz diffuse -D a=1", "-D applies to a specimen that is to be measured"),
+        ("goniometric:filename=none.npz diffuse", "filename: there is no file none"),
+    ],
+)
+def test_bad_lines_on_specimens_are_one_sentence(line, message, capfd):
+    assert main(["fit", *line.split()]) == 1
+    said = capfd.readouterr().err
+    assert message in said
+    assert said.count("\n") == 1
 
 
 def test_fits_of_one_table_are_drawn_together(tmp_path):
