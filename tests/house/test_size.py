@@ -33,7 +33,6 @@ BUDGET = {
 }
 CORE, WHOLE = 17250, 36840
 ROOMS = functools.cache(lines.rooms)
-ROOMS = functools.cache(lines.rooms)
 HANDBOOK = Path(__file__).parents[2] / "notebooks" / "how_it_is_built.md"
 
 
