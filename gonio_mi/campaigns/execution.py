@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import SettingError, warn
+from ..instrument.loading import loaded_once
 from ..progress import bar
 from ..results.provenance import DIGESTS
 from ..results.record import Record
@@ -43,7 +44,8 @@ class ExecutionContext:
     """Where and how the tasks of a campaign are done.
 
     Attributes are the arguments of :func:`~gonio_mi.campaigns.campaign.campaign` of
-    the same name.
+    the same name, and `outlook` on a campaign of several rounds: directions that are
+    known, seconds since its begin, and directions that are expected in all.
     """
 
     executor: Executor | int | None = None
@@ -52,6 +54,7 @@ class ExecutionContext:
     threads: int | None = None
     retries: int = 3
     progress: bool = False
+    outlook: tuple[int, float | None, int] = (0, None, 0)
 
 
 def records_of(
@@ -95,11 +98,11 @@ def _records(
     if folder is not None and done:
         _check_specimens(tasks, done, folder.folder)
         logger.info("%d of %d tasks were finished before", len(done), len(tasks))
-    n_done = sum(len(record) for record in done.values())
-    total = sum(len(task.incidents) for task in tasks)
-    # a campaign of several rounds knows the time that is left of each only
+    known, seconds, expected = where.outlook
+    n_done = known + sum(len(record) for record in done.values())
+    total = max(expected, known + sum(len(task.incidents) for task in tasks))
     shown_as = {"total": total, "initial": n_done, "unit": "direction", "desc": label}
-    with bar(where.progress, "this round", **shown_as) as report:
+    with bar(where.progress, seconds, **shown_as) as report:
 
         def keep(task: Task, record: Record) -> None:
             """Write a finished task to the folder, if any, and count it."""
@@ -140,8 +143,9 @@ def _finish(
 ) -> None:
     """Run tasks and keep their records as they come; those of dead workers again."""
     if executor is None:
-        for task in todo:
-            keep(task, task.run())
+        with loaded_once():
+            for task in todo:
+                keep(task, task.run())
         return
     for left in range(retries, -1, -1):
         pools: Any = workers if isinstance(executor, int) else nullcontext

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -16,7 +17,7 @@ from ..campaigns.folder import folder_name
 from ..collector import Subdivision
 from ..errors import LABEL, SettingError, SpecimenError, abridged, warn
 from ..instrument.specimen_text import SpecimenLike
-from ..progress import MIN_ANNOUNCED
+from ..progress import MIN_ANNOUNCED, note
 from ..results.azimuth_symmetry import AzimuthSymmetry
 from ..results.campaign_outcome import PredictionError
 from ..results.patch_means import PatchMeans
@@ -119,8 +120,8 @@ class MeasuredDirections:
     def _forget(self) -> None:
         """Begin without any direction."""
         self.records: dict[tuple[float, float], Record] = {}
-        self.rays = self.n_rounds = self.n_timed = 0
-        self.seconds, self.flux = 0.0, np.zeros(2)
+        self.rays = self.n_rounds = self.n_timed = self.expected = 0
+        self.seconds, self.flux, self.began = 0.0, np.zeros(2), time.perf_counter()
 
     def start_anew(self, patches: Subdivision | None = None) -> None:
         """Forget all directions; take the next estimator, or `patches` if given."""
@@ -156,9 +157,9 @@ class MeasuredDirections:
         if not new:
             return
         started = time.perf_counter()
-        # fits a terminal
-        label = f"{abridged(self.name, 12)}, {len(self.records)} measured, {purpose}"
-        logger.info("%s: %d more", label, len(new))
+        label = f"{abridged(self.name, 12)}, {purpose}"  # fits a terminal
+        known = len(self.records)
+        logger.info("%s: %d known, %d to be measured", label, known, len(new))
         part = f"{self.estimators[0]}_{self.n_rounds:03d}"
         settings = self.settings | self._goals(goal)
         if seed is not None and self.estimators[0].splits:
@@ -179,7 +180,8 @@ class MeasuredDirections:
         label: str,
     ) -> Record:
         """Stack of directions that is kept in a part of the folder, if there is one."""
-        where = self.where
+        spent = time.perf_counter() - self.began
+        where = replace(self.where, outlook=(len(self.records), spent, self.expected))
         if where.folder is not None:
             if self.chosen is not None:
                 part += f"_{self.chosen}".replace(":", "_")
@@ -280,10 +282,20 @@ class MeasuredDirections:
         where = replace(self.where, folder=None, progress=False)
         return self._stack([incident], where, self.settings | settings)[0]
 
-    def announce(self, expected: float) -> None:
-        """Warn, once, if so many directions in all will take long."""
-        more = expected - len(self.records)
-        left = more * self.seconds / max(self.n_timed, 1)
+    def announce(self, expected: float, at_most: float = 0) -> None:
+        """Warn, once, if so many directions in all will take long.
+
+        And tell, with `at_most` how many, where progress is shown.
+        """
+        self.expected, more = math.ceil(expected), expected - len(self.records)
+        each = self.seconds / max(self.n_timed, 1)
+        left = more * each
+        if at_most and self.where.progress:
+            longest = (at_most - len(self.records)) * each
+            note(
+                f"{self.name}: some {expected:.0f} incident directions ({left:.0f} s) "
+                f"or more if it is isotropic, else some {at_most:.0f} ({longest:.0f} s)"
+            )
         if left > MIN_ANNOUNCED and not self.announced:
             self.announced = True
             warn(

@@ -38,7 +38,7 @@ from gonio_mi.materials.measured_directions import (
 from gonio_mi.materials.prediction import Prediction
 from gonio_mi.materials.refinement import Axis, IncidentRings, Interval, refined
 from gonio_mi.materials.resolution import check_peaks, delta_fraction
-from gonio_mi.materials.whole_bsdf import N_FIRST_ANGLES, N_UNSEEN, WholeBsdf
+from gonio_mi.materials.whole_bsdf import N_COARSE, N_UNSEEN, WholeBsdf
 from gonio_mi.results.azimuth_symmetry import AzimuthSymmetry
 from gonio_mi.results.campaign_outcome import PredictionError
 from gonio_mi.results.prediction_error import expected_noise, prediction_error
@@ -242,7 +242,7 @@ def test_directions_near_the_tolerance_are_measured_finer(integrates, monkeypatc
         known, "error", lambda _, *one: PredictionError(*one, one[0], 0.001, 0, 0)
     )
     whole = WholeBsdf(known, 80)
-    whole.rings = IncidentRings([0.0, 40.0], AzimuthSymmetry(16), isotropic=True)
+    whole.rings = IncidentRings([0.0, 40.0], AzimuthSymmetry(16), 1)
     whole.symmetry = whole.rings.symmetry
     monkeypatch.setattr(whole, "_check", lambda: None)
     unseen = [(error, 0.0) for error in (0.02, 0.06, 0.065, 0.08, 0.12)]
@@ -397,7 +397,7 @@ def test_ctrl_c_without_a_folder_makes_one(monkeypatch, tmp_path):
     whole = gonio.campaign({"a": plates["a"]}, **PLATE)["a"]
     rounds = calls.count("a")
     measured = whole.settings["campaign"]["measured"]
-    finished = measured + 1 + N_FIRST_ANGLES  # and whether sample() is as eval()
+    finished = measured + 1 + N_COARSE[0]  # and whether sample() is as eval()
     with pytest.raises(KeyboardInterrupt, match=f"^{tmp_path} holds the {finished} "):
         gonio.campaign(plates, **PLATE)
     assert len(list(tmp_path.glob("*/*"))) == rounds + 1
@@ -462,7 +462,7 @@ def test_a_table_that_would_not_fit_ends_the_refinement(monkeypatch):
 
     monkeypatch.setattr(whole, "_errors_at", look)
     monkeypatch.setattr(whole, "_is_refuted_at", lambda *_: False)
-    whole.rings = IncidentRings([0.0, 40.0, 80.0], symmetry, isotropic=True)
+    whole.rings = IncidentRings([0.0, 40.0, 80.0], symmetry, 1)
     whole.isotropic = True
     errors = whole._confirmed()
     assert len(looks) == 2
