@@ -1,6 +1,7 @@
 """The command line: ``gonio-mi COMMAND ...``, and how it fails.
 
 examples:
+  gonio-mi help measure
   gonio-mi measure diffuse --theta-i 45
   gonio-mi measure scene.xml -D alpha=0.3 --rays 1e8 -o run.npz
   gonio-mi show run.npz
@@ -154,6 +155,9 @@ def _add_command(commands: Any, name: str) -> None:
     )
     own.set_defaults(run=module.run)
     module.add_options(own)
+    for action in own._actions:
+        if not action.choices:
+            vars(action)["complete"] = "file"  # by shtab, in scripts for shells
 
 
 class _Version(argparse.Action):

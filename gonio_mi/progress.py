@@ -26,31 +26,27 @@ COUNTS = 31
 
 
 def bar(
-    shown: bool, seconds: float | None = None, **how: Any
+    shown: bool, **how: Any
 ) -> AbstractContextManager[Callable[[float], Any] | None]:
     """Context of the function to report progress to; of None if it is not `shown`.
 
     Where standard error is a file or a pipe, a line is written about every 30 seconds,
-    however many bars there are one after the other. `seconds` are those that `initial`
-    took, which tell the time that is left too. `how` are the arguments of
+    however many bars there are one after the other. `how` are the arguments of
     :class:`tqdm.tqdm`.
     """
     if not shown:
         return nullcontext()
     notebook = type(sys.stderr).__module__.startswith("ipykernel")
     in_place = sys.stderr.isatty() or notebook
+    if not in_place:
+        return _Lines(leave=False, **how)
     said = how.get("desc")
-    if in_place and said and how.get("total") is not None:
+    if said and how.get("total") is not None:
         columns = shutil.get_terminal_size((80, 24)).columns
         how["desc"] = abridged(said, max(columns - COUNTS, COUNTS))
         shape = "{desc}: |{bar}| {n_fmt}/{total_fmt}, {remaining} left"
         how.setdefault("bar_format", shape)
-    if seconds is not None:
-        how["smoothing"] = 0  # the mean speed
-    found = (_Bar if in_place else _Lines)(leave=False, **how)
-    if seconds is not None:
-        found.initial, found.start_t = 0, found.start_t - seconds
-    return found
+    return _Bar(leave=False, **how)
 
 
 def note(text: str) -> None:

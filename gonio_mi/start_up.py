@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 PROGRAM = "gonio-mi"
 # Commands that read records and tables only, and help: to load Mitsuba takes as long.
-WITHOUT_MITSUBA = ("", "show", "plot", "report")
+WITHOUT_MITSUBA = ("", "help", "show", "plot", "report")
 INTERRUPTED = 130  # as shells count: 128 and the number of SIGINT
 
 

@@ -107,7 +107,7 @@ def campaign(
         If workers keep dying. What is finished is in `folder`.
     """
     check_variant(is_parallel)
-    if not isinstance(specimens, Mapping) or not specimens:
+    if not isinstance(specimens, Mapping) or not specimens:  # type: ignore[redundant-expr]
         raise SettingTypeError(
             "specimens must be a dictionary with at least one entry, "
             f"got {shown(specimens)}"

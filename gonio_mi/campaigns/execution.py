@@ -44,8 +44,8 @@ class ExecutionContext:
     """Where and how the tasks of a campaign are done.
 
     Attributes are the arguments of :func:`~gonio_mi.campaigns.campaign.campaign` of
-    the same name, and `outlook` on a campaign of several rounds: directions that are
-    known, seconds since its begin, and directions that are expected in all.
+    the same name; and for the progress bar of a round how many directions were
+    `measured` in others before, and how many are `expected` in all rounds.
     """
 
     executor: Executor | int | None = None
@@ -54,7 +54,8 @@ class ExecutionContext:
     threads: int | None = None
     retries: int = 3
     progress: bool = False
-    outlook: tuple[int, float | None, int] = (0, None, 0)
+    measured: int = 0
+    expected: float = 0
 
 
 def records_of(
@@ -98,11 +99,11 @@ def _records(
     if folder is not None and done:
         _check_specimens(tasks, done, folder.folder)
         logger.info("%d of %d tasks were finished before", len(done), len(tasks))
-    known, seconds, expected = where.outlook
-    n_done = known + sum(len(record) for record in done.values())
-    total = max(expected, known + sum(len(task.incidents) for task in tasks))
+    n_done = where.measured + sum(len(record) for record in done.values())
+    total = where.measured + sum(len(task.incidents) for task in tasks)
+    total = max(total, round(where.expected))
     shown_as = {"total": total, "initial": n_done, "unit": "direction", "desc": label}
-    with bar(where.progress, seconds, **shown_as) as report:
+    with bar(where.progress, **shown_as) as report:
 
         def keep(task: Task, record: Record) -> None:
             """Write a finished task to the folder, if any, and count it."""

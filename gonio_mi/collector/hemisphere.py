@@ -134,8 +134,8 @@ class Subdivision(ABC):
 
         Parameters
         ----------
-        values : ndarray, shape ``(..., rows, columns, channels)``
-            Any mean over patches.
+        values : ndarray
+            Any mean over patches, of shape ``(..., rows, columns, channels)``.
 
         Raises
         ------

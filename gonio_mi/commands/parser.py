@@ -79,16 +79,13 @@ class Parser(argparse.ArgumentParser):
 
     def print_help(self, file: Any = None) -> None:
         """Print the help, of rare options none and of the others a sentence each."""
-        if not self.rare:
-            return super().print_help(file)
-        texts = [action.help or "" for action in self._actions]
+        texts = [action.help or "" for action in self._actions] if self.rare else []
         for action, text in zip(self._actions, texts):
             rare = not {*action.option_strings}.isdisjoint(self.rare)
             action.help = argparse.SUPPRESS if rare else _sentence_and_default(text)
         super().print_help(file)
         for action, text in zip(self._actions, texts):
             action.help = text
-        return None
 
     def parse_known_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: Any = None

@@ -29,8 +29,9 @@ FUSED_RAYS = 2**22
 FUSED_SUMS = 2**19
 
 # The same numbers of all incident directions that share launches: beyond the cache,
-# because Dr.Jit's idle threads spin for 10 ms after each launch.
-STACKED_SUMS = 2**21
+# because Dr.Jit's idle threads spin for 10 ms after each launch, and as many as Dr.Jit
+# 1.5 keeps apart for each thread, for more of them are added by atomic operations.
+STACKED_SUMS = 2**20
 
 # Rays of the first launch: traced and on a plane; and points that traced ones send
 # light to. Then as many as take a second.
@@ -40,6 +41,10 @@ FIRST_POINTS = 2**22
 # Rays of each batch in a round: traced and on a plane. Of samplers whose numbers
 # depend on the launch, rounds are whole launches.
 ROUND_TRACED, ROUND_PLANE = 2**17, 2**24
+
+# Rays of few batches in a round, at least: neighbours along the curve, which traverse
+# the same part of the specimen, are as close as those of many batches.
+ROUND_SHARED = 2**21
 
 # Incident directions that may share a launch, at least: it is another kernel, and to
 # compile it takes as long as some dozens of launches.
@@ -59,7 +64,8 @@ def round_rays(setup: Setup) -> int:
     """Rays per batch that complete a low-discrepancy set."""
     if not is_joint(setup.sampler):
         return MAX_LAUNCH
-    return ROUND_TRACED if traces(setup) else ROUND_PLANE
+    shared = ROUND_SHARED >> (setup.settings.batches - 1).bit_length()
+    return max(ROUND_TRACED, shared) if traces(setup) else ROUND_PLANE
 
 
 class Launcher:

@@ -90,7 +90,7 @@ MIRROR = {"type": "conductor"}
 # Modules that plugin files have imported from their own folder.
 _imported: list[str] = []
 
-# While tasks are at work in this process: what was loaded last, how, and as what scene.
+# While tasks are at work in this process: what was loaded last, and the scene it is.
 _last: list[Any] | None = None
 
 
@@ -147,21 +147,17 @@ def load_specimen(
     FileFormatError
         If a file that it names is damaged, and Mitsuba would not notice.
     """
-    how = repr((parameters, period, mi.variant()))
-    if _last and _last[1] == how and _is_same(_last[0], specimen):
-        return _last[2]
+    own = specimen if isinstance(specimen, str) else id(specimen)
+    key = own, repr((parameters, period, mi.variant()))
+    if _last and _last[0] == key:
+        return _last[1]
     scene = _scene(specimen, parameters, period)
     if _last is not None:
-        _last[:] = specimen, how, scene
+        _last[:] = key, scene, specimen  # an object's number is its own while it lives
     return scene
 
 
-def _is_same(last: Any, specimen: Any) -> bool:
-    """Whether both are one object or one path."""
-    return last is specimen or (isinstance(last, str) and last == specimen)
-
-
-def _scene(specimen: Any, parameters: dict[str, Any] | None, period: Any) -> mi.Scene:
+def _scene(specimen: Any, parameters: dict[str, Any] | None, period: Any) -> Any:
     """Scene of a specimen, loaded anew."""
     if isinstance(specimen, (str, os.PathLike)):
         path = existing(specimen)

@@ -310,7 +310,7 @@ def _lobes(path: str, side: str) -> tuple[MeasuredLobes, Floats | None]:
     A record itself is let go, whose batches need more memory than all that follows.
     """
     if path.lower().endswith(files.ENDINGS):
-        material = files.load_added_up(path)
+        material: Any = files.load_added_up(path)
     else:
         material = ask("exchange", "load_material")(path, side)
     from_back = isinstance(material, Record) and material.asked.side == "back"

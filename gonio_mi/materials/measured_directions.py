@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -120,8 +119,8 @@ class MeasuredDirections:
     def _forget(self) -> None:
         """Begin without any direction."""
         self.records: dict[tuple[float, float], Record] = {}
-        self.rays = self.n_rounds = self.n_timed = self.expected = 0
-        self.seconds, self.flux, self.began = 0.0, np.zeros(2), time.perf_counter()
+        self.rays = self.n_rounds = self.n_timed = 0
+        self.expected, self.seconds, self.flux = 0.0, 0.0, np.zeros(2)
 
     def start_anew(self, patches: Subdivision | None = None) -> None:
         """Forget all directions; take the next estimator, or `patches` if given."""
@@ -157,14 +156,15 @@ class MeasuredDirections:
         if not new:
             return
         started = time.perf_counter()
-        label = f"{abridged(self.name, 12)}, {purpose}"  # fits a terminal
-        known = len(self.records)
-        logger.info("%s: %d known, %d to be measured", label, known, len(new))
+        label = f"{abridged(self.name, 24)}, {purpose}"
+        logger.info("%s: %d more", label, len(new))
         part = f"{self.estimators[0]}_{self.n_rounds:03d}"
         settings = self.settings | self._goals(goal)
         if seed is not None and self.estimators[0].splits:
             settings["seed"] = seed
-        stack = self._kept(part, new, settings, label)
+        known, expected = len(self.records), self.expected
+        where = replace(self.where, measured=known, expected=expected)
+        stack = self._kept(part, new, settings, label, where)
         self.rays += stack.ledger.emitted
         flux = stack.flux_fraction
         self.flux += flux[:, :1].sum(), flux[:, 1:].sum()
@@ -178,10 +178,10 @@ class MeasuredDirections:
         incidents: Sequence[tuple[float, float]],
         settings: dict[str, Any],
         label: str,
+        where: ExecutionContext | None = None,
     ) -> Record:
         """Stack of directions that is kept in a part of the folder, if there is one."""
-        spent = time.perf_counter() - self.began
-        where = replace(self.where, outlook=(len(self.records), spent, self.expected))
+        where = where or self.where
         if where.folder is not None:
             if self.chosen is not None:
                 part += f"_{self.chosen}".replace(":", "_")
@@ -282,19 +282,20 @@ class MeasuredDirections:
         where = replace(self.where, folder=None, progress=False)
         return self._stack([incident], where, self.settings | settings)[0]
 
-    def announce(self, expected: float, at_most: float = 0) -> None:
-        """Warn, once, if so many directions in all will take long.
+    def announce(self, expected: float, most: float = 0) -> None:
+        """Tell the progress bar how many directions in all there may be.
 
-        And tell, with `at_most` how many, where progress is shown.
+        Warn, once, if they will take long. With `most` of them, of an anisotropic
+        specimen, both numbers are told where progress is shown.
         """
-        self.expected, more = math.ceil(expected), expected - len(self.records)
+        self.expected, more = expected, expected - len(self.records)
         each = self.seconds / max(self.n_timed, 1)
         left = more * each
-        if at_most and self.where.progress:
-            longest = (at_most - len(self.records)) * each
+        if most and self.where.progress:
+            longest = (most - len(self.records)) * each
             note(
                 f"{self.name}: some {expected:.0f} incident directions ({left:.0f} s) "
-                f"or more if it is isotropic, else some {at_most:.0f} ({longest:.0f} s)"
+                f"or more if it is isotropic, else some {most:.0f} ({longest:.0f} s)"
             )
         if left > MIN_ANNOUNCED and not self.announced:
             self.announced = True

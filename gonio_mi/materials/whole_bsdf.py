@@ -127,8 +127,9 @@ class WholeBsdf:
         first = [(theta, 0.0) for theta in angles]
         self.directions.measure(first, "first directions", TESTING)
         self.directions.check_functions((angles[1], 0.0))
+        self.directions.announce(len(angles) + N_UNSEEN)  # at least
         n_sectors = checked_sectors(self.directions.patches).n_phi
-        check_patches_resolve(self.directions, angles[2:])
+        check_patches_resolve(self.directions, angles[-2:])
         self._announce_first(len(angles) - 1)
         self.recognition = SymmetryRecognition(self.directions, angles)
         self.isotropic = self.recognition.is_isotropic()

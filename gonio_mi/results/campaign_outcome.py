@@ -124,8 +124,7 @@ class CampaignOutcome:
                 ),
             )
             if not (
-                type(outcome.isotropic) is bool
-                and type(outcome.turns) is int
+                [type(outcome.isotropic), type(outcome.turns)] == [bool, int]
                 and 1 <= outcome.turns <= MAX_TURNS
                 and outcome.unseen
             ):

@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -864,7 +863,7 @@ def test_help_and_version(capsys):
         with pytest.raises(SystemExit) as caught:
             cli.main(arguments)
         assert caught.value.code == 0
-    assert capsys.readouterr().out.endswith("gonio-mi 1.0.0.dev0\n")
+    assert capsys.readouterr().out.endswith(f"gonio-mi {gonio.__version__}\n")
 
 
 def test_plot(run, saved, tmp_path):
@@ -949,7 +948,7 @@ def break_measure(monkeypatch):
 def test_bugs_of_ours_are_reported(report_of_bug, break_measure, fault):
     break_measure(fault)
     report = report_of_bug(*QUICK, "-o", "my file.npz")
-    assert f"gonio-mi {metadata.version('gonio-mi')}, mitsuba " in report
+    assert f"gonio-mi {gonio.__version__}, mitsuba " in report
     assert "'my file.npz'" in report
     assert "Traceback (most recent call last)" in report
 
@@ -1003,25 +1002,33 @@ def test_debug_shows_where_errors_of_users_arose(run):
     assert run(*DIFFUSE, "--rays", "0") == (1, "", message)
 
 
-def test_short_help_of_measure_leads_to_all_of_it(capsys, monkeypatch):
+@pytest.mark.parametrize("command", ["measure", "bsdf"])
+def test_short_help_leads_to_all_of_it(command, capsys, monkeypatch):
     """At 80 columns, 90 lines; the long one has every option and every sentence."""
     monkeypatch.setenv("COLUMNS", "80")
     said = {}
-    for option in ("--help", "--help-all", "-h"):
+    for words in (["--help"], ["--help-all"], ["-h"], ["help"]):
         with pytest.raises(SystemExit) as caught:
-            cli.main(["measure", option])
+            cli.main([*words, command] if words == ["help"] else [command, *words])
         assert caught.value.code == 0
-        said[option] = capsys.readouterr().out
+        said[words[0]] = capsys.readouterr().out
     assert said["--help"].count("\n") <= 90
-    assert said["--help"] == said["-h"]
+    assert said["--help"] == said["-h"] == said["help"]
     assert "--help-all" in said["--help"]
     assert "--rr-depth" not in said["--help"]
     whole = " ".join(said["--help-all"].split())
+    parser = cli.parser(command)._subparsers._group_actions[0].choices[command]
+    options = {*parser._option_string_actions}
+    assert all(option in whole for option in options)
     for declared in declarations(MeasurementSettings).values():
-        if declared.group is not None:
-            assert declared.option in whole
+        if declared.option in options:
             plain = re.sub(r"[`*]", "", declared.sentence)
             assert plain.replace("- ", "-") in whole.replace("- ", "-")
+    # `measure` has all that are settings of a measurement
+    named = {
+        one.option for one in declarations(MeasurementSettings).values() if one.group
+    }
+    assert command != "measure" or named <= options
 
 
 def test_the_command_line_works_in_any_thread(tmp_path, capsys):

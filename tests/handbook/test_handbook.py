@@ -1,10 +1,12 @@
 """The handbook is built without a warning, and its reference leaves nothing out."""
 
+import html
 import os
 import re
 import subprocess
 import sys
 from pathlib import Path
+from urllib.parse import unquote
 
 import pytest
 from museum import EXHIBITS
@@ -39,6 +41,39 @@ def test_every_page_is_built(built):
     """Sphinx itself warns of a page that no table of contents holds."""
     for page in (*PAGES.glob("*.md"), *PAGES.glob("*.ipynb")):
         assert (built / f"{page.stem}.html").is_file()
+
+
+def targets(page):
+    """Local addresses of a built page, as paths with what follows ``#``."""
+    for path in re.findall(r'(?:href|src)="([^"]*)"', page.read_text()):
+        if not re.match(r"\w+:|//", path):
+            file, _, anchor = html.unescape(unquote(path)).partition("#")
+            yield (page.parent / file.partition("?")[0] if file else page), anchor
+
+
+def broken(folder):
+    """Local links of the pages in a folder that lead to no file, or to no place."""
+    pages = [page for page in folder.rglob("*.html") if "_static" not in page.parts]
+    names = {
+        page: {*re.findall(r'\b(?:id|name)="([^"]*)"', page.read_text())}
+        for page in pages
+    }
+    for page in pages:
+        for file, anchor in targets(page):
+            of_page = names.get(Path(os.path.normpath(file)), {anchor})
+            if not file.exists() or (anchor and anchor not in of_page):
+                yield f"{page.name}: {file.name}#{anchor}"
+
+
+def test_local_links_lead_somewhere(built):
+    assert [*targets(built / "index.html")]
+    assert [*broken(built)] == []
+
+
+def test_twin_broken_links_are_found(tmp_path):
+    links = (f'<a href="{x}">' for x in ("a.html#x", "#y", "b.html", "https:z"))
+    (tmp_path / "a.html").write_text('<p id="x">' + "".join(links))
+    assert [*broken(tmp_path)] == ["a.html: a.html#y", "a.html: b.html#"]
 
 
 def test_reference_shows_what_the_code_says(built):

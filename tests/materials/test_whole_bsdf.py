@@ -20,7 +20,7 @@ from budget import agree, disagree, single
 from scipy import special
 
 import gonio_mi as gonio
-from gonio_mi.campaigns import tasks
+from gonio_mi.campaigns import execution, tasks
 from gonio_mi.campaigns.execution import ExecutionContext
 from gonio_mi.materials import measured_directions, resolution, whole_bsdf
 from gonio_mi.materials.interpolation import lobes
@@ -494,7 +494,7 @@ def test_a_campaign_ends_with_the_table_that_fits(monkeypatch, tmp_path):
     assert size(part) <= 0.6 * full
     assert part.settings["campaign"]["within"] < 0.95
     monkeypatch.setattr(lobes, "MAX_BYTES", 0.05 * full)
-    with pytest.raises(TooLargeError, match="of 8 x 4 incident directions"):
+    with pytest.raises(TooLargeError, match="of 4 x 3 incident directions"):
         material()
 
 
@@ -534,6 +534,32 @@ def test_rays_are_taken_where_a_late_integral_is_refused(monkeypatch):
         record = gonio.campaign({"plate": {"type": "diffuse"}}, **PLATE)["plate"]
     assert record.settings["estimator"] == "weighted"
     assert all(record[number].ledger.emitted for number in range(len(record)))
+
+
+def test_the_progress_bar_is_of_the_whole_campaign(monkeypatch):
+    """Rounds go on where the last one ended, to what is expected of all of them."""
+    bars = []
+
+    def shown(progress, **how):
+        assert progress
+        bars.append([how["initial"], how["initial"], how["total"]])
+
+        def report(n):
+            bars[-1][1] += n
+
+        return nullcontext(report)
+
+    monkeypatch.setattr(execution, "bar", shown)
+    plate = {"plate": {"type": "diffuse"}}
+    record = gonio.campaign(plate, **PLATE, progress=True)["plate"]
+    first, probe, *later = bars
+    assert first == [0, N_COARSE[0], N_COARSE[0]]
+    assert probe == [0, 1, 1]  # of the functions, not of the material
+    assert [one[0] for one in later] == [first[1], *(one[1] for one in later[:-1])]
+    for begun, ended, total in later:
+        assert begun < ended <= total
+        assert total >= N_COARSE[0] + N_UNSEEN
+    assert bars[-1][1] == bars[-1][2] == record.provenance.campaign.measured
 
 
 @pytest.mark.parametrize(
@@ -669,7 +695,7 @@ def test_mirrors_are_told_with_one_finer_collector(looked, monkeypatch):
     with pytest.raises(gonio.SpecimenError, match=r"^1 of the flux .* delta lobes"):
         gonio.campaign({"mirrors": mirrors}, **how)
     # integrals are refused; the collector's own patches, and the finest
-    assert looked == [("None", 4), ("None", 1), ("angle:240x240", 1)]
+    assert looked == [("None", 3), ("None", 1), ("angle:240x240", 1)]
     del looked[:]
     monkeypatch.setattr(whole_bsdf, "check_peaks", lambda *_: None)
     with pytest.raises(gonio.SpecimenError, match=r"angle:240x240, as of smooth mir"):

@@ -48,6 +48,7 @@ from ...commands.campaign_options import (
     is_imprecise,
     kept_after_ctrl_c,
 )
+from ...commands.measure import RARE as RARE
 from ...commands.surface import add_surface_options, prepared_surface, tell_mesh
 from ...errors import SettingError
 from ...files import check_output

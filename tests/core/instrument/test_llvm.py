@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -192,6 +193,44 @@ def test_prepare_takes_the_newest_of_this_environment(before_drjit, tmp_path):
         assert os.environ[VARIABLE] == taken
 
 
+# ------------------------------------------- the hook at the start of the interpreter
+
+HOOK = Path(llvm.__file__).with_suffix(".pth").read_text()
+
+
+def started(monkeypatch, folder):
+    """Library that the hook names where `folder` is the environment's."""
+    monkeypatch.setattr(sys, "prefix", str(folder))
+    exec(HOOK, {}, {})  # as `site` does
+    return os.environ.get(VARIABLE)
+
+
+def test_the_hook_names_the_newest_of_this_environment(before_drjit, tmp_path):
+    """From version 17 on; a line that `site` runs is one that begins with import."""
+    assert HOOK.startswith("import ")
+    assert HOOK.count("\n") == 1
+    assert started(before_drjit, tmp_path) is None
+    folder = tmp_path / "lib"
+    folder.mkdir()
+    for name in ("libLLVM.so.16.0", "libLLVM.so", "libLLVM-20.so", "libLLVM.so.x"):
+        (folder / name).touch()
+        assert started(before_drjit, tmp_path) is None
+    for name in ("libLLVM.so.19.1", "libLLVM.so.100.1"):
+        (folder / name).touch()
+        assert started(before_drjit, tmp_path) == str(folder / name)
+        del os.environ[VARIABLE]
+
+
+@pytest.mark.parametrize("variable", [VARIABLE, "GONIO_MI_NO_HOOK"])
+def test_a_variable_switches_the_hook_off(variable, before_drjit, tmp_path):
+    (tmp_path / "lib").mkdir()
+    (tmp_path / "lib" / "libLLVM.so.19.1").touch()
+    before_drjit.setenv(variable, "1")
+    before = dict(os.environ)
+    started(before_drjit, tmp_path)
+    assert dict(os.environ) == before
+
+
 # -------------------------------------------------------------------- real processes
 
 
@@ -227,6 +266,45 @@ def test_old_library_of_a_mitsuba_that_was_imported_first():
 def test_twin_without_the_check_an_old_library_aborts():
     process = python(MINIMUM, OLD_LIBRARIES[0])
     assert process.returncode == -signal.SIGABRT
+
+
+NUMBA = """
+import sys
+
+def numba():
+    from numba import njit, prange
+    @njit(parallel=True)
+    def total(n):
+        found = 0.0
+        for i in prange(n):
+            found += i
+        return found
+    return total(1000)
+
+def gonio():
+    import gonio_mi, mitsuba as mi
+    mi.set_variant("llvm_ad_mono")
+    plate = {"type": "roughconductor"}
+    return float(gonio_mi.measure(plate, theta_i=45, rays=1000).dhr.item())
+
+print(*(globals()[name]() for name in sys.argv[1:]))
+"""
+
+
+def test_numba_in_the_same_process():
+    """Exact: both LLVMs compile, whichever comes first, and no bit changes."""
+    pytest.importorskip("numba")
+
+    def printed(*names):
+        command = [sys.executable, "-c", NUMBA, *names]
+        done = subprocess.run(command, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        return done.stdout.split()
+
+    (dhr,) = printed("gonio")
+    total = str(999 * 1000 / 2)
+    assert printed("numba", "gonio", "numba") == [total, dhr, total]
+    assert printed("gonio", "numba", "gonio") == [dhr, total, dhr]
 
 
 def test_file_that_is_no_library(tmp_path):

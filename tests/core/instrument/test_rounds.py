@@ -24,7 +24,7 @@ LONG = {"theta_i": 40, "rays": 40_003, "batches": 4, "collector": "projected:6x8
 @pytest.fixture(autouse=True)
 def short_rounds(monkeypatch):
     """Rounds of 1024 rays of each batch, on machines where launches hold as many."""
-    for name in ("ROUND_TRACED", "ROUND_PLANE"):
+    for name in ("ROUND_TRACED", "ROUND_PLANE", "ROUND_SHARED"):
         monkeypatch.setattr(launcher, name, 2**10)
     for name in ("FUSED_RAYS", "FIRST_TRACED", "FIRST_PLANE"):
         monkeypatch.setattr(launcher, name, 2**11)
