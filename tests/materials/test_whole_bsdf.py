@@ -38,7 +38,7 @@ from gonio_mi.materials.measured_directions import (
 from gonio_mi.materials.prediction import Prediction
 from gonio_mi.materials.refinement import Axis, IncidentRings, Interval, refined
 from gonio_mi.materials.resolution import check_peaks, delta_fraction
-from gonio_mi.materials.whole_bsdf import N_COARSE, N_UNSEEN, WholeBsdf
+from gonio_mi.materials.whole_bsdf import N_COARSE, N_FIRST, N_UNSEEN, WholeBsdf
 from gonio_mi.results.azimuth_symmetry import AzimuthSymmetry
 from gonio_mi.results.campaign_outcome import PredictionError
 from gonio_mi.results.prediction_error import expected_noise, prediction_error
@@ -560,6 +560,25 @@ def test_the_progress_bar_is_of_the_whole_campaign(monkeypatch):
         assert begun < ended <= total
         assert total >= N_COARSE[0] + N_UNSEEN
     assert bars[-1][1] == bars[-1][2] == record.provenance.campaign.measured
+
+
+@pytest.mark.parametrize(("tolerance", "first"), [(0.02, N_COARSE), (0.019, N_FIRST)])
+def test_a_coarse_tolerance_begins_coarser(tolerance, first, capsys):
+    """And it is told what it may cost, before the first directions are chosen."""
+    where = ExecutionContext(progress=True)
+    known = MeasuredDirections("plate", {"type": "diffuse"}, tolerance, where, {})
+    whole = WholeBsdf(known, 80)
+    assert whole.n_first == first
+    known.seconds, known.n_timed = 2.0, 1
+    whole._announce_first(first[0] - 1)
+    # turned at two angles, middles, and tests; with all azimuths, and gaps between them
+    least = 6 + (first[0] - 1) + N_UNSEEN
+    most = 6 + 2 * (first[0] - 1) * 2 * first[1] + N_UNSEEN
+    assert capsys.readouterr().err == (
+        f"plate: some {least} incident directions ({2 * least} s) or more if it is "
+        f"isotropic, else some {most} ({2 * most} s)\n"
+    )
+    assert known.expected == least
 
 
 @pytest.mark.parametrize(
