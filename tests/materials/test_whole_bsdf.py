@@ -575,7 +575,7 @@ def test_a_coarse_tolerance_begins_coarser(tolerance, first, capsys):
     least = 6 + (first[0] - 1) + N_UNSEEN
     most = 6 + 2 * (first[0] - 1) * 2 * first[1] + N_UNSEEN
     assert capsys.readouterr().err == (
-        f"plate: some {least} incident directions ({2 * least} s) or more if it is "
+        f"plate: some {least} directions ({2 * least} s) or more if it is "
         f"isotropic, else some {most} ({2 * most} s)\n"
     )
     assert known.expected == least
