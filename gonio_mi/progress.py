@@ -49,6 +49,11 @@ def bar(
     return _Bar(leave=False, **how)
 
 
+def note(text: str) -> None:
+    """Write a line on standard error, beside bars."""
+    tqdm.write(text, file=sys.stderr)
+
+
 def counted(items: Collection[T], shown: bool, **how: Any) -> Iterator[T]:
     """Items, one after the other, in a :func:`bar` of how many are done."""
     with bar(shown, total=len(items), **how) as report:

@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import SettingError, warn
+from ..instrument.loading import loaded_once
 from ..progress import bar
 from ..results.provenance import DIGESTS
 from ..results.record import Record
@@ -143,8 +144,9 @@ def _finish(
 ) -> None:
     """Run tasks and keep their records as they come; those of dead workers again."""
     if executor is None:
-        for task in todo:
-            keep(task, task.run())
+        with loaded_once():
+            for task in todo:
+                keep(task, task.run())
         return
     for left in range(retries, -1, -1):
         pools: Any = workers if isinstance(executor, int) else nullcontext

@@ -90,6 +90,9 @@ MIRROR = {"type": "conductor"}
 # Modules that plugin files have imported from their own folder.
 _imported: list[str] = []
 
+# While tasks are at work in this process: what was loaded last, and the scene it is.
+_last: list[Any] | None = None
+
 
 def existing(specimen: str | os.PathLike[str]) -> Path:
     """Path of a specimen that is a file; SpecimenError if there is none."""
@@ -103,6 +106,17 @@ def existing(specimen: str | os.PathLike[str]) -> Path:
             hint = f"; a BSDF is a dictionary such as {parse_specimen(word)!r}"
         raise SpecimenError(no_file(path) + hint)
     return path
+
+
+@contextlib.contextmanager
+def loaded_once() -> Iterator[None]:
+    """Context in which a specimen, the same object or path, is loaded once in a row."""
+    global _last
+    outer, _last = _last, [] if _last is None else _last
+    try:
+        yield
+    finally:
+        _last = outer
 
 
 @launches_kernels(is_parallel)
@@ -133,6 +147,20 @@ def load_specimen(
     FileFormatError
         If a file that it names is damaged, and Mitsuba would not notice.
     """
+    own = specimen if isinstance(specimen, str) else id(specimen)
+    key = own, repr((parameters, period, mi.variant()))
+    if _last and _last[0] == key:
+        return _last[1]
+    if _last:
+        _last.clear()
+    scene = _scene(specimen, parameters, period)
+    if _last is not None:
+        _last[:] = key, scene, specimen  # an object's number is its own while it lives
+    return scene
+
+
+def _scene(specimen: Any, parameters: dict[str, Any] | None, period: Any) -> Any:
+    """Scene of a specimen, loaded anew."""
     if not isinstance(specimen, (mi.Scene, mi.Shape)):
         forget()  # its objects have numbers in kernels, which are compiled for these
     if isinstance(specimen, (str, os.PathLike)):

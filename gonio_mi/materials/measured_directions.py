@@ -16,7 +16,7 @@ from ..campaigns.folder import folder_name
 from ..collector import Subdivision
 from ..errors import LABEL, SettingError, SpecimenError, abridged, warn
 from ..instrument.specimen_text import SpecimenLike
-from ..progress import MIN_ANNOUNCED
+from ..progress import MIN_ANNOUNCED, note
 from ..results.azimuth_symmetry import AzimuthSymmetry
 from ..results.campaign_outcome import PredictionError
 from ..results.patch_means import PatchMeans
@@ -282,13 +282,22 @@ class MeasuredDirections:
         where = replace(self.where, folder=None, progress=False)
         return self._stack([incident], where, self.settings | settings)[0]
 
-    def announce(self, expected: float) -> None:
+    def announce(self, expected: float, most: float = 0) -> None:
         """Tell the progress bar how many directions in all there may be.
 
-        Warn, once, if they will take long.
+        Warn, once, if they will take long. With `most` of them, of an anisotropic
+        specimen, both numbers are told where progress is shown.
         """
         self.expected, more = expected, expected - len(self.records)
-        left = more * self.seconds / max(self.n_timed, 1)
+        each = self.seconds / max(self.n_timed, 1)
+        left = more * each
+        if most and self.where.progress:
+            longest = (most - len(self.records)) * each
+            note(
+                f"{abridged(self.name, 24)}: some {expected:.0f} directions "
+                f"({left:.0f} s) or more if it is isotropic, else some {most:.0f} "
+                f"({longest:.0f} s)"
+            )
         if left > MIN_ANNOUNCED and not self.announced:
             self.announced = True
             warn(

@@ -14,9 +14,6 @@ import numpy as np
 from ..results.azimuth_symmetry import AzimuthSymmetry, azimuth_of
 from ..results.campaign_outcome import PredictionError
 
-# Azimuths of an anisotropic specimen to begin with.
-N_FIRST_AZIMUTHS = 8
-
 # Segments are not split into parts below so many degrees. What a split leaves of the
 # error of a segment: more than a fourth, since lobes change faster at grazing
 # incidence.
@@ -140,8 +137,8 @@ class IncidentRings:
         Polar angles to begin with, in degrees.
     symmetry : AzimuthSymmetry
         Azimuths are chosen in its domain only.
-    isotropic : bool
-        Whether one azimuth is enough.
+    n_azimuths : int
+        Of a whole turn to begin with; of an isotropic specimen one is enough.
 
     Attributes
     ----------
@@ -152,9 +149,10 @@ class IncidentRings:
     """
 
     def __init__(
-        self, angles: Sequence[float], symmetry: AzimuthSymmetry, isotropic: bool
+        self, angles: Sequence[float], symmetry: AzimuthSymmetry, n_azimuths: int
     ) -> None:
-        self.symmetry, self.isotropic = symmetry, isotropic
+        self.symmetry, self.n_azimuths = symmetry, n_azimuths
+        self.isotropic = n_azimuths == 1
         self.segments = Axis(
             _middle_angle, ERROR_LEFT_BY_SPLIT, dict.fromkeys(_intervals(angles))
         )
@@ -191,7 +189,7 @@ class IncidentRings:
             return float(np.sqrt(np.maximum(np.divide(errors, limit), 1)).sum())
 
         n_rings = 1 + parts(self.segments)
-        n_azimuths = float(len(self._own(self._first_sectors())))
+        n_azimuths = (2 - self.isotropic) * float(len(self.first_azimuths))
         if self.gaps.errors:
             n_azimuths = parts(self.gaps) / (len(self.segments.levels()) - 1)
         return n_rings * n_azimuths
@@ -252,7 +250,7 @@ class IncidentRings:
         """
         if self.isotropic:
             return [0.0]
-        return self.symmetry.spread(N_FIRST_AZIMUTHS)
+        return self.symmetry.spread(self.n_azimuths)
 
     def _own(self, levels: list[float]) -> list[float]:
         """Azimuths without the last one where it is the first one's image."""

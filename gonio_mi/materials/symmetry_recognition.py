@@ -17,6 +17,7 @@ logger = logging.getLogger(__name__)
 # all eighths, after which pyramids of eight sides are what they were; and those of them
 # whose images are measured for its symmetry.
 TURNS, IMAGED = (0.125, 0.25, 0.7), (0.125, 0.25)
+N_TURNED = 2 * len(TURNS)
 
 # Equal parts of a whole turn that are tried; of a mirror's azimuth, in whole turns,
 # those that are tried before the one that fits the light along the normal best.

@@ -37,15 +37,17 @@ from .resolution import (
     check_peaks,
     checked_sectors,
 )
-from .symmetry_recognition import SymmetryRecognition
+from .symmetry_recognition import N_TURNED, SymmetryRecognition
 
 logger = logging.getLogger(__name__)
 
 # What single precision and the points of a prediction leave of a tolerance.
 MIN_TOLERANCE = 1e-4
 
-# Polar angles to begin with.
-N_FIRST_ANGLES = 4
+# Polar angles, and azimuths of an anisotropic specimen, to begin with: from a tolerance
+# of COARSE on fewer, whose middles, which are looked at, are as many as the others.
+N_FIRST = 4, 8
+COARSE, N_COARSE = 0.02, (3, 4)
 
 # Directions never used that confirm the material, and how many may miss it in
 # two looks together if any does in the last: two in a single look would let one
@@ -87,6 +89,8 @@ class WholeBsdf:
         self.name, self.tolerance = directions.name, directions.tolerance
         asked = MeasurementSettings.among(directions.settings)
         self.seed = asked.seed
+        self.n_first = N_FIRST if self.tolerance < COARSE else N_COARSE
+        self.knows_peaks = False
         self.has_own_collector = directions.settings.get("collector") is not None
         if self.has_own_collector:
             checked_sectors(asked.collector)
@@ -116,15 +120,17 @@ class WholeBsdf:
 
     def _measured(self) -> Record:
         """Recognise the specimen, and choose directions until they hold."""
-        if not self.directions.estimators[0].integrates:
+        if not (self.directions.estimators[0].integrates or self.knows_peaks):
             check_peaks(self.directions, self.theta_max)
-        angles = np.linspace(0, self.theta_max, N_FIRST_ANGLES).tolist()
+            self.knows_peaks = True
+        angles = np.linspace(0, self.theta_max, self.n_first[0]).tolist()
         first = [(theta, 0.0) for theta in angles]
         self.directions.measure(first, "first directions", TESTING)
         self.directions.check_functions((angles[1], 0.0))
         self.directions.announce(len(angles) + N_UNSEEN)  # at least
         n_sectors = checked_sectors(self.directions.patches).n_phi
-        check_patches_resolve(self.directions, angles[2:])
+        check_patches_resolve(self.directions, angles[-2:])
+        self._announce_first(len(angles) - 1)
         self.recognition = SymmetryRecognition(self.directions, angles)
         self.isotropic = self.recognition.is_isotropic()
         self.symmetry = AzimuthSymmetry(n_sectors)
@@ -143,7 +149,8 @@ class WholeBsdf:
 
     def _refine(self, angles: Sequence[float]) -> None:
         """Refine polar angles, then azimuths, as far as middles of intervals tell."""
-        self.rings = IncidentRings(angles, self.symmetry, self.isotropic)
+        n_azimuths = 1 if self.isotropic else self.n_first[1]
+        self.rings = IncidentRings(angles, self.symmetry, n_azimuths)
         # errors along both axes add up by their squares, about
         self.limit = self.tolerance * (1.0 if self.isotropic else 0.5**0.5)
         self._check()
@@ -172,19 +179,32 @@ class WholeBsdf:
         every = {one.azimuth(phi) for phi in azimuths for one in self.symmetry.motions}
         self.directions.check_size(every, len(levels))
 
+    def _announce_first(self, n_segments: int) -> None:
+        """Tell how many directions are expected before the first of them are chosen."""
+        known = len(self.directions.records) + N_TURNED + N_UNSEEN
+        # twice as many segments, and gaps, as there are at first
+        most = 2 * n_segments * 2 * self.n_first[1]
+        self.directions.announce(known + n_segments, known + most)
+
+    def _announce(self) -> None:
+        """Tell how many directions are expected by what the known ones tell."""
+        records, levels = self.directions.records, self.rings.segments.levels()
+        known = sum(theta in levels for theta, _ in records)
+        more = max(self.rings.expected(self.limit) - known, 0)
+        self.directions.announce(len(records) + more + N_UNSEEN)
+
     # ------------------------------------------------------------------- predicting
 
     def _errors_of_segments(
-        self, segments: Sequence[Interval], middles: Sequence[float]
+        self, _: Sequence[Interval], middles: Sequence[float]
     ) -> list[float]:
         """Errors in the middles of segments: the largest of all first azimuths."""
-        self.directions.announce(self.rings.expected(self.limit) + N_UNSEEN)
+        self._announce()
         first = self.rings.first_azimuths
         levels = self.rings.segments.levels()
-        purpose = f"{len(segments)} of {len(levels) - 1} segments open"
         lines = [[(theta, phi if theta else 0.0) for theta in levels] for phi in first]
         new = [(theta, phi) for theta in middles for phi in first]
-        self.directions.measure([*itertools.chain(*lines), *new], purpose)
+        self.directions.measure([*itertools.chain(*lines), *new], "polar angles")
         errors = []
         for phi, line in zip(first, lines):
             prediction = self.directions.prediction(line)
@@ -196,11 +216,10 @@ class WholeBsdf:
         self, gaps: Sequence[Interval], middles: Sequence[float]
     ) -> list[float]:
         """Errors in the middles of gaps between azimuths of rings."""
-        self.directions.announce(self.rings.expected(self.limit) + N_UNSEEN)
+        self._announce()
         middles = [self.rings.azimuth(sector) for sector in middles]
-        purpose = f"{len(gaps)} of {len(self.rings.gaps.errors)} gaps open"
         new = [(gap.on, phi) for gap, phi in zip(gaps, middles)]
-        self.directions.measure([*self.rings.directions(), *new], purpose)
+        self.directions.measure([*self.rings.directions(), *new], "azimuths")
         of_ring = defaultdict(list)
         for number, gap in enumerate(gaps):
             of_ring[gap.on].append(number)
@@ -277,6 +296,7 @@ class WholeBsdf:
         self._check()
         own = self.rings.directions()
         self.directions.measure(own, purpose)
+        self.directions.announce(len(self.directions.records) + N_UNSEEN)
         prediction = self.directions.prediction(own, self.symmetry)
         found: dict[tuple[float, float], PredictionError] = {}
         left = unseen

@@ -2,6 +2,7 @@
 
 import math
 import textwrap
+from collections import defaultdict
 from collections.abc import Sequence
 from operator import itemgetter
 
@@ -32,19 +33,24 @@ MAX_DECIMALS = 12
 # Times as wide as Student's interval, beyond which it is said what an interval allows.
 MAX_UNEXPLAINED = 2
 
-# Rows of totals that are shown, in halves from both ends.
-MAX_ROWS = 40
+# Rows of totals that are shown, in halves from both ends; of more directions that a
+# campaign has chosen, the lowest, the highest and the least certain of each quantity.
+MAX_ROWS, MAX_CHOSEN = 40, 6
 
 
 def summary_text(
-    summary: Summary, most_rows: int = MAX_ROWS, stokes: Sequence[float] | None = None
+    summary: Summary,
+    most_rows: int | None = None,
+    stokes: Sequence[float] | None = None,
 ) -> str:
     """Return a summary as text for people.
 
-    Of more totals than `most_rows`, those in the middle are left out. `stokes` is the
-    Stokes vector of the light whose polarisation is told: unpolarised by default, and
-    none of records without Mueller matrices.
+    Of more totals than `most_rows` some are left out. `stokes` is the Stokes vector of
+    the light whose polarisation is told: unpolarised by default, and none of records
+    without Mueller matrices.
     """
+    campaign = summary.record.provenance.campaign
+    most_rows = most_rows or (MAX_CHOSEN if campaign else MAX_ROWS)
     blocks = [
         _settings_text(summary),
         _totals_text(summary, most_rows),
@@ -57,7 +63,7 @@ def summary_text(
     warnings = [_filled("warning   ", text) for text in summary.warnings]
     if warnings:
         blocks.append("\n".join(warnings))
-    if campaign := summary.record.provenance.campaign:
+    if campaign:
         # what decides, below a table that may be long
         n_used = len(summary.directions) - len(_copies(summary))
         blocks.append(campaign.text(n_used, WIDTH))
@@ -153,8 +159,13 @@ def _totals_text(summary: Summary, most_rows: int) -> str:
     lines = aligned(header, rows).split("\n")
     if len(rows) > most_rows:
         half = most_rows // 2
-        left = f"... {len(rows) - 2 * half} rows are left out: show --all has them ..."
-        lines[1 + half : -half] = [left]
+        kept = [*range(half), *range(len(rows) - half, len(rows))]
+        if summary.record.provenance.campaign:
+            kept = _extremes(rows, shown)
+            half = len(kept)
+        left = f"... {len(rows) - len(kept)} rows are left out: show --all has them ..."
+        lines = [lines[0], *(lines[1 + number] for number in kept)]
+        lines.insert(1 + half, left)
     if any(error.startswith("<") for *_, error, _low, _high in rows):
         said += "\n<: below single-precision rounding"
     n_batches = summary.record.n_batches
@@ -163,6 +174,18 @@ def _totals_text(summary: Summary, most_rows: int) -> str:
         text += "that no ray may have met it"
         said += f"\n{_filled('', text)}"
     return "\n".join(lines) + said
+
+
+def _extremes(rows: Sequence[Sequence[str]], totals: Sequence[Total]) -> list[int]:
+    """Which rows have the lowest, the highest, the least certain total of a kind."""
+    of_kind = defaultdict(list)
+    for number, (row, total) in enumerate(zip(rows, totals)):
+        value, std_err = total.value or 0.0, total.std_err or 0.0
+        of_kind[row[2], row[3]].append((value, std_err, number))
+    found = set()
+    for some in of_kind.values():
+        found |= {min(some)[2], max(some)[2], max(some, key=itemgetter(1))[2]}
+    return sorted(found)
 
 
 def _leaves_open(total: Total, n_batches: int) -> bool:

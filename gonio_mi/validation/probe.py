@@ -224,7 +224,7 @@ class Probe:
         with as_plugin_fault(function):
             method, si = getattr(self.bsdf, function), self.interaction(wi, spots)
             si.uv, si.wavelengths = uv, nm
-            return method(ctx or self.ctx, si, *copies)
+            return method(ctx or self.condition.context, si, *copies)
 
     @staticmethod
     def _pair(

@@ -38,7 +38,7 @@ from gonio_mi.materials.measured_directions import (
 from gonio_mi.materials.prediction import Prediction
 from gonio_mi.materials.refinement import Axis, IncidentRings, Interval, refined
 from gonio_mi.materials.resolution import check_peaks, delta_fraction
-from gonio_mi.materials.whole_bsdf import N_FIRST_ANGLES, N_UNSEEN, WholeBsdf
+from gonio_mi.materials.whole_bsdf import N_COARSE, N_FIRST, N_UNSEEN, WholeBsdf
 from gonio_mi.results.azimuth_symmetry import AzimuthSymmetry
 from gonio_mi.results.campaign_outcome import PredictionError
 from gonio_mi.results.prediction_error import expected_noise, prediction_error
@@ -242,7 +242,7 @@ def test_directions_near_the_tolerance_are_measured_finer(integrates, monkeypatc
         known, "error", lambda _, *one: PredictionError(*one, one[0], 0.001, 0, 0)
     )
     whole = WholeBsdf(known, 80)
-    whole.rings = IncidentRings([0.0, 40.0], AzimuthSymmetry(16), isotropic=True)
+    whole.rings = IncidentRings([0.0, 40.0], AzimuthSymmetry(16), 1)
     whole.symmetry = whole.rings.symmetry
     monkeypatch.setattr(whole, "_check", lambda: None)
     unseen = [(error, 0.0) for error in (0.02, 0.06, 0.065, 0.08, 0.12)]
@@ -404,7 +404,7 @@ def test_ctrl_c_without_a_folder_makes_one(monkeypatch, tmp_path):
     whole = gonio.campaign({"a": plates["a"]}, **PLATE)["a"]
     rounds = calls.count("a")
     measured = whole.settings["campaign"]["measured"]
-    finished = measured + 1 + N_FIRST_ANGLES  # and whether sample() is as eval()
+    finished = measured + 1 + N_COARSE[0]  # and whether sample() is as eval()
     with pytest.raises(KeyboardInterrupt, match=f"^{tmp_path} holds the {finished} "):
         gonio.campaign(plates, **PLATE)
     assert len(list(tmp_path.glob("*/*"))) == rounds + 1
@@ -469,7 +469,7 @@ def test_a_table_that_would_not_fit_ends_the_refinement(monkeypatch):
 
     monkeypatch.setattr(whole, "_errors_at", look)
     monkeypatch.setattr(whole, "_is_refuted_at", lambda *_: False)
-    whole.rings = IncidentRings([0.0, 40.0, 80.0], symmetry, isotropic=True)
+    whole.rings = IncidentRings([0.0, 40.0, 80.0], symmetry, 1)
     whole.isotropic = True
     errors = whole._confirmed()
     assert len(looks) == 2
@@ -501,7 +501,7 @@ def test_a_campaign_ends_with_the_table_that_fits(monkeypatch, tmp_path):
     assert size(part) <= 0.6 * full
     assert part.settings["campaign"]["within"] < 0.95
     monkeypatch.setattr(lobes, "MAX_BYTES", 0.05 * full)
-    with pytest.raises(TooLargeError, match="of 8 x 4 incident directions"):
+    with pytest.raises(TooLargeError, match="of 4 x 3 incident directions"):
         material()
 
 
@@ -561,13 +561,32 @@ def test_the_progress_bar_is_of_the_whole_campaign(monkeypatch):
     plate = {"plate": {"type": "diffuse"}}
     record = gonio.campaign(plate, **PLATE, progress=True)["plate"]
     first, probe, *later = bars
-    assert first == [0, N_FIRST_ANGLES, N_FIRST_ANGLES]
+    assert first == [0, N_COARSE[0], N_COARSE[0]]
     assert probe == [0, 1, 1]  # of the functions, not of the material
     assert [one[0] for one in later] == [first[1], *(one[1] for one in later[:-1])]
     for begun, ended, total in later:
         assert begun < ended <= total
-        assert total >= N_FIRST_ANGLES + N_UNSEEN
+        assert total >= N_COARSE[0] + N_UNSEEN
     assert bars[-1][1] == bars[-1][2] == record.provenance.campaign.measured
+
+
+@pytest.mark.parametrize(("tolerance", "first"), [(0.02, N_COARSE), (0.019, N_FIRST)])
+def test_a_coarse_tolerance_begins_coarser(tolerance, first, capsys):
+    """And it is told what it may cost, before the first directions are chosen."""
+    where = ExecutionContext(progress=True)
+    known = MeasuredDirections("plate", {"type": "diffuse"}, tolerance, where, {})
+    whole = WholeBsdf(known, 80)
+    assert whole.n_first == first
+    known.seconds, known.n_timed = 2.0, 1
+    whole._announce_first(first[0] - 1)
+    # turned at two angles, middles, and tests; with all azimuths, and gaps between them
+    least = 6 + (first[0] - 1) + N_UNSEEN
+    most = 6 + 2 * (first[0] - 1) * 2 * first[1] + N_UNSEEN
+    assert capsys.readouterr().err == (
+        f"plate: some {least} directions ({2 * least} s) or more if it is "
+        f"isotropic, else some {most} ({2 * most} s)\n"
+    )
+    assert known.expected == least
 
 
 @pytest.mark.parametrize(
@@ -703,7 +722,7 @@ def test_mirrors_are_told_with_one_finer_collector(looked, monkeypatch):
     with pytest.raises(gonio.SpecimenError, match=r"^1 of the flux .* delta lobes"):
         gonio.campaign({"mirrors": mirrors}, **how)
     # integrals are refused; the collector's own patches, and the finest
-    assert looked == [("None", 4), ("None", 1), ("angle:240x240", 1)]
+    assert looked == [("None", 3), ("None", 1), ("angle:240x240", 1)]
     del looked[:]
     monkeypatch.setattr(whole_bsdf, "check_peaks", lambda *_: None)
     with pytest.raises(gonio.SpecimenError, match=r"angle:240x240, as of smooth mir"):

@@ -135,6 +135,16 @@ class RippledEval(Noisy):
         return super().eval(ctx, si, wo, active) * (0.5 + coin)
 
 
+@unusual()
+class NarrowsItsContext(Grey):
+    """Changes its copy of the context, as integrators give it to plugins in Python."""
+
+    def sample(self, ctx, *args):
+        bs, weight = super().sample(ctx, *args)
+        weight, ctx.type_mask = weight * (ctx.type_mask > 0), 0
+        return bs, weight
+
+
 @unusual("answers eval_pdf_sample")
 class OwnRandomNumbers(Noisy):
     """`sample` does not use the numbers that it gets."""

@@ -19,6 +19,7 @@ import pytest
 import gonio_mi as gonio
 from gonio_mi.campaigns import tasks
 from gonio_mi.cli import main
+from gonio_mi.instrument import loading
 
 SPECIMENS = {
     "matt": {"type": "diffuse"},
@@ -268,6 +269,23 @@ def test_a_campaign_of_a_given_precision_is_the_stack():
         for one in (record, stack)
     )
     assert own == others
+
+
+def test_a_specimen_is_loaded_once_in_a_row(tmp_path, monkeypatch):
+    """By all tasks of a campaign in this process; twin: by each, outside of one."""
+    load, loads = loading._scene, []
+    monkeypatch.setattr(loading, "_scene", lambda *how: loads.append(1) or load(*how))
+    plate, how = {"type": "diffuse"}, {"rays": 100, "collector": "projected:2x2"}
+    found = gonio.campaign({"a": plate}, [0, 30, 60], folder=tmp_path, **how)["a"]
+    assert len(list(tmp_path.glob("0*.npz"))) == 3
+    assert len(loads) == 1
+    for number, theta_i in enumerate((0, 30, 60)):
+        assert gonio.measure(plate, theta_i, **how).tallies == found[number].tallies
+    assert len(loads) == 4
+    with loading.loaded_once():
+        one, other = loading.load_specimen(plate), loading.load_specimen(dict(plate))
+        assert one is not other
+        assert loading.load_specimen(plate, {"n": 1}) is not one
 
 
 def test_tensors_of_a_specimen_stay():

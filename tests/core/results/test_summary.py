@@ -9,6 +9,7 @@ import synthetic
 
 from gonio_mi.cli import main
 from gonio_mi.files.exr import attributes
+from gonio_mi.results.campaign_outcome import CampaignOutcome, PredictionError
 from gonio_mi.results.planning import precision
 from gonio_mi.results.record import Record
 from gonio_mi.results.summary import Total, summarize
@@ -302,6 +303,29 @@ def test_totals_of_many_directions_are_left_out_in_the_middle(tmp_path, capsys):
         assert left == [row for row in left if row.startswith("... 10 rows")]
         assert len(left) == (len(record) == 50 and not options)
     assert whole == [1, 40, 50]
+
+
+def test_of_chosen_directions_extremes_are_shown():
+    """The lowest, the highest and the least certain total; twin: of others all."""
+    one, tallies = synthetic.record(), []
+    for seed in range(8):
+        tallies += synthetic.record(seed=seed).tallies
+    record = replace(Record.stack([one] * 8), theta_i=np.arange(0.0, 80, 10))
+    record = replace(record, tallies=tuple(tallies))
+    errors = (PredictionError(30, 20, 0.01, 0.001, 0, 0),)
+    chosen = CampaignOutcome(0.1, 80, True, 1, None, (), 8, 0, 1.0, errors)
+    summary = summarize(record.with_provenance(campaign=chosen))
+    dhr, std_err = record.dhr[:, 0], record.dhr_std_err[:, 0]
+    of_text = {int(np.argmin(dhr)), int(np.argmax(dhr)), int(np.argmax(std_err))}
+    assert len({*dhr}) == 8
+    for text, kept in (
+        (summary_text(summary), of_text),
+        (summary_text(summary, 40), range(8)),
+        (summary_text(summarize(record)), range(8)),
+    ):
+        rows = [line.split() for line in text.splitlines() if "  dhr  " in line]
+        assert [float(row[0]) for row in rows] == [10.0 * n for n in sorted(kept)]
+        assert (f"... {8 - len(kept)} rows are left out" in text) == (len(kept) < 8)
 
 
 def test_nothing_is_0():
