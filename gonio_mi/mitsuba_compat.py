@@ -1,4 +1,4 @@
-"""Names that Mitsuba 3.10 changes: of flags of rays and of the buffers of meshes.
+"""Names that Mitsuba 3.10 changes, of flags of rays and meshes; arrays in its memory.
 
 As its sources have them in August 2026; 3.9 knows the others. Nothing here uses the
 parameters of `principled` that go (``*_sampling_rate``).
@@ -80,10 +80,19 @@ def mesh_of(
     parameters = mi.traverse(mesh)
     parameters["faces"] = mi.UInt32(faces.ravel())
     for key, values in ({"positions": points} | others).items():
-        # Dr.Jit's own memory: NumPy's may not be aligned, which is another kernel
-        memory = dr.empty(mi.Float, values.size)
-        memory.numpy()[:] = values.ravel()
-        parameters[f"vertex_{key}"] = memory
+        parameters[f"vertex_{key}"] = floats(values.ravel())
     parameters.update()
     dr.eval()
     return mesh
+
+
+def floats(*parts: Numbers) -> mi.Float:
+    """Mitsuba's numbers from arrays, copied one after another to memory of Dr.Jit.
+
+    NumPy's memory may begin anywhere, and reading from there needs another kernel.
+    """
+    if not mi.variant().startswith("llvm"):  # NumPy would write into a copy
+        return mi.Float(np.concatenate(parts, dtype=np.float32))
+    found = dr.empty(mi.Float, sum(map(len, parts)))
+    np.concatenate(parts, out=found.numpy())
+    return found

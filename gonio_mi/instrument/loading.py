@@ -9,6 +9,7 @@ import re
 import sys
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextvars import ContextVar
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -90,8 +91,8 @@ MIRROR = {"type": "conductor"}
 # Modules that plugin files have imported from their own folder.
 _imported: list[str] = []
 
-# While tasks are at work in this process: what was loaded last, and the scene it is.
-_last: list[Any] | None = None
+# While tasks are at work in this thread: what was loaded last, and the scene it is.
+_last: ContextVar[list[Any] | None] = ContextVar("_last", default=None)
 
 
 def existing(specimen: str | os.PathLike[str]) -> Path:
@@ -111,12 +112,11 @@ def existing(specimen: str | os.PathLike[str]) -> Path:
 @contextlib.contextmanager
 def loaded_once() -> Iterator[None]:
     """Context in which a specimen, the same object or path, is loaded once in a row."""
-    global _last
-    outer, _last = _last, [] if _last is None else _last
+    before = _last.set([])
     try:
         yield
     finally:
-        _last = outer
+        _last.reset(before)
 
 
 @launches_kernels(is_parallel)
@@ -147,22 +147,29 @@ def load_specimen(
     FileFormatError
         If a file that it names is damaged, and Mitsuba would not notice.
     """
-    own = specimen if isinstance(specimen, str) else id(specimen)
-    key = own, repr((parameters, period, mi.variant()))
-    if _last and _last[0] == key:
-        return _last[1]
-    if _last:
-        _last.clear()
+    last, names = _last.get(), (mi.variant(), *(parameters or ()))
+    given = [specimen, period, *(parameters or {}).values()]
+    if last and last[0] == names and all(map(_is_same, last[1], given)):
+        return last[2]
+    if last:
+        last.clear()
     scene = _scene(specimen, parameters, period)
-    if _last is not None:
-        _last[:] = key, scene, specimen  # an object's number is its own while it lives
+    if last is not None:
+        last[:] = names, given, scene
     return scene
+
+
+def _is_same(one: Any, other: Any) -> bool:
+    """Whether two are one object, or the same number or text."""
+    plain = isinstance(one, (str, float, int)) and type(one) is type(other)
+    return one is other or (plain and one == other)
 
 
 def _scene(specimen: Any, parameters: dict[str, Any] | None, period: Any) -> Any:
     """Scene of a specimen, loaded anew."""
     if not isinstance(specimen, (mi.Scene, mi.Shape)):
-        forget()  # its objects have numbers in kernels, which are compiled for these
+        # kernels hold the numbers of objects, which are those of the ones before then
+        forget()
     if isinstance(specimen, (str, os.PathLike)):
         path = existing(specimen)
         if is_height_map(path):

@@ -294,8 +294,8 @@ class MeasuredDirections:
         if most and self.where.progress:
             longest = (most - len(self.records)) * each
             note(
-                f"{abridged(self.name, 24)}: some {expected:.0f} directions "
-                f"({left:.0f} s) or more if it is isotropic, else some {most:.0f} "
+                f"{abridged(self.name, 24)}: about {expected:.0f} directions "
+                f"({left:.0f} s) or more if isotropic, otherwise about {most:.0f} "
                 f"({longest:.0f} s)"
             )
         if left > MIN_ANNOUNCED and not self.announced:

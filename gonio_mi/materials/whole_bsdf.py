@@ -137,12 +137,12 @@ class WholeBsdf:
         quarter = azimuth_of(round(n_sectors / 4), n_sectors)
         if not self.isotropic:
             # lobes that are wide along this azimuth may be narrow along the other
-            check_patches_resolve(self.directions, angles[2:], quarter)
+            check_patches_resolve(self.directions, angles[-2:], quarter)
             self.symmetry = self.recognition.symmetry()
         self._refine(angles)
         while (errors := self._confirmed()) is None:
             if self.isotropic:
-                check_patches_resolve(self.directions, angles[2:], quarter)
+                check_patches_resolve(self.directions, angles[-2:], quarter)
             self.isotropic, self.symmetry = False, AzimuthSymmetry(n_sectors)
             self._refine(angles)
         return self._described(errors)

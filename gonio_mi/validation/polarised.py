@@ -150,7 +150,7 @@ class _Examination:
             evidence.undecided |= dict.fromkeys(names, text)
         elif all(is_depolarised(per_light(raw)) for raw in answered):
             evidence.note = (
-                "but it depolarises all light, so that nothing else was asked"
+                "but it depolarises all light: there is no polarisation to be judged"
             )
             text = "all matrices have the first element only: light leaves unpolarised"
             if (lobes.delta & ~lobes.null).any():

@@ -15,6 +15,7 @@ import numpy as np
 
 from ..array_types import Floats, Numbers
 from ..errors import own_place
+from ..mitsuba_compat import floats
 from ..transport.bsdf_trial import (
     PluginFault,
     checked_answer,
@@ -352,18 +353,6 @@ def random_numbers(rows: Numbers) -> tuple[mi.Float, mi.Point2f]:
     """Numbers for ``sample`` from an array of shape (..., 3)."""
     first, *second = map(floats, np.reshape(rows, (-1, 3)).T)
     return first, mi.Point2f(*second)
-
-
-def floats(*parts: Numbers) -> mi.Float:
-    """Mitsuba's numbers from arrays, copied one after another to memory of Dr.Jit.
-
-    NumPy's memory may begin anywhere, and reading from there needs another kernel.
-    """
-    if not mi.variant().startswith("llvm"):  # NumPy would write into a copy
-        return mi.Float(np.concatenate(parts, dtype=np.float32))
-    found = dr.empty(mi.Float, sum(map(len, parts)))
-    np.concatenate(parts, out=found.numpy())
-    return found
 
 
 def _or_none(rows: Numbers | None) -> mi.Vector3f | None:

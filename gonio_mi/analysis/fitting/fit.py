@@ -106,8 +106,9 @@ def fit(
     if not isinstance(record, (Record, MeasuredTable)):
         FittedModel(bsdf, free, ("Y",))  # refused before anything is measured
         record = _measured(record, settings, progress)
-    elif settings:
-        raise SettingError(f"{min(settings)} applies to a specimen, got none")
+    elif given := [name for name in settings if settings[name] is not None]:
+        kind = type(record).__name__
+        raise SettingError(f"{min(given)} applies to a specimen, got a {kind}")
     record = _as_told(record, {k: v for k, v in told.items() if v is not None})
     observations = _observations(record)
     channels = record.channels if isinstance(record, Record) else ("Y",)

@@ -76,6 +76,7 @@ def _check_ends(
     probe, wi = Probe(evidence.bsdf, conditions[0]), [one.wi for one in conditions]
     checks = [_check(evidence, one.wi, f"at {one}{where}") for one in conditions]
     asked: Any = [next(check) for check in checks]
+    n_before = len(evidence.breaches)
     try:
         for ask in (_samples, _answers):
             lengths = [*map(len, asked)]
@@ -85,6 +86,7 @@ def _check_ends(
             asked = [check.send(one) for check, one in zip(checks, each)]
     except PluginFault as fault:
         if len(conditions) > 1:
+            del evidence.breaches[n_before:]
             for one in conditions:
                 _check_ends(evidence, where, [one])
             return
@@ -139,7 +141,6 @@ def _check(
     extra += list(direction(np.radians([0, 89.99, 90, 90.01, 180]), 0.3))
     good = given & np.isfinite(wo).all(axis=1)
     directions = np.concatenate([wo[good], extra])
-    values, density, *joint = yield directions
     along = np.full(len(wo), abs(wi[2]) < GRAZING)
     _check_finite(evidence, SAMPLE, "weight", weight, corners, place, along)
     found = pdf[given], corners[given], place, along[given]
@@ -150,6 +151,7 @@ def _check(
         text = f"{_text(wo[wrong][0])} {place}, sample {_text(corners[wrong][0])}"
         how = {"found": f"direction {text}", "kind": Kind.LENGTH_AT_AN_END}
         evidence.breach(ENDS, Ends.LENGTH(SAMPLE), off=PIXELS, **how)
+    values, density, *joint = yield directions
     black, densities = (values == 0).all(axis=1), [density, joint[1]]
     along = np.minimum(np.abs(directions[:, 2]), abs(wi[2])) < GRAZING
     if np.isnan([x[black & along] for x in densities]).any():
