@@ -162,7 +162,7 @@ class MeasuredDirections:
         settings = self.settings | self._goals(goal)
         if seed is not None and self.estimators[0].splits:
             settings["seed"] = seed
-        known, expected = len(self.records), self.expected
+        known, expected = len(self.records.keys() - set(new)), self.expected
         where = replace(self.where, measured=known, expected=expected)
         stack = self._kept(part, new, settings, label, where)
         self.rays += stack.ledger.emitted

@@ -48,8 +48,8 @@ def check_first_element(
     """
     variant = unpolarised(mi.variant())
     if load is None:
-        text = f"an object is of one variant: pass what {variant} can load, too, a "
-        evidence.undecided["first_element"] = f"{text}dictionary or a file"
+        text = "an object belongs to one variant: pass a dictionary or a file, which "
+        evidence.undecided["first_element"] = f"{text}{variant} can load, too"
         return
     try:
         with _variant(variant):
@@ -57,7 +57,7 @@ def check_first_element(
             plain = [_ask(bsdf, *own, random) for own in answers]
     except (SettingError, PluginFault, ImportError, RuntimeError) as error:
         text = (
-            f"the plugin cannot be loaded in {variant}, register it there too: {error}"
+            f"the plugin failed in {variant}, where it must be registered too: {error}"
         )
         evidence.undecided["first_element"] = text
         return
