@@ -217,9 +217,9 @@ def set_variant(variant: str, variants: Sequence[str] = ()) -> None:
     """Set one of some Mitsuba variants; by default of those that measure."""
     import mitsuba as mi
 
-    from ..transport.variants import usable_variants
+    from ..transport.variants import unpolarised_variants
 
-    usable = variants or usable_variants()
+    usable = variants or unpolarised_variants()
     if variant not in usable:
         raise SettingError(
             f"--variant must be one of {', '.join(usable)}, got {variant!r}"

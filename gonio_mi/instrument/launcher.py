@@ -61,7 +61,7 @@ MAX_GROWTH = 128
 
 
 def round_rays(setup: Setup) -> int:
-    """Rays per batch that complete a low-discrepancy set."""
+    """Rays of each batch in the first rounds."""
     if not is_joint(setup.sampler):
         return MAX_LAUNCH
     shared = ROUND_SHARED >> (setup.settings.batches - 1).bit_length()

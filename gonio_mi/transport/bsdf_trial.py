@@ -15,7 +15,7 @@ import numpy as np
 from ..errors import SpecimenError, abridged, own_frame, warn
 from ..settings import Estimator
 from .scene_objects import class_of, traversed
-from .variants import usable_variants
+from .variants import unpolarised_variants
 
 # Parameters of Mitsuba's BSDFs that say how rough a surface is, and the largest value
 # that each may have; and what `roughplastic` puts in place of smaller ones.
@@ -180,7 +180,7 @@ def warn_of_roughness(bsdfs: Iterable[Any]) -> None:
 def _refused(bsdf: Any, text: str, elsewhere: bool = True) -> SpecimenError:
     """Error of a BSDF, which may work `elsewhere`: in another variant."""
     kind = mi.variant().partition("_")[0]
-    others = [one for one in usable_variants() if one.startswith(kind)]
+    others = [one for one in unpolarised_variants() if one.startswith(kind)]
     others = [one for one in others if one != mi.variant()]
     hint = f"; another variant may do ({', '.join(others)})" if elsewhere else ""
     return SpecimenError(

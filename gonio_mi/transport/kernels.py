@@ -13,7 +13,7 @@ import mitsuba as mi
 
 from ..errors import LostRaysError, VariantError
 from ..threads import drjit_lock
-from .variants import check_variant, is_usable
+from .variants import check_variant, is_parallel_unpolarised
 
 # Variants at the entrances of the contexts that are open, and the last that each thread
 # has set.
@@ -49,7 +49,9 @@ class launches_kernels(ContextDecorator):  # noqa: N801
         At the entrance, if Dr.Jit would abort the process.
     """
 
-    def __init__(self, accepts: Callable[[str], bool] = is_usable) -> None:
+    def __init__(
+        self, accepts: Callable[[str], bool] = is_parallel_unpolarised
+    ) -> None:
         self._accepts = accepts
 
     def __enter__(self) -> None:

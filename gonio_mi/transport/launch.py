@@ -19,7 +19,7 @@ from .media_loop import Geometry, trace_inside
 from .mirror_facets import MirrorFacets, has_mirror_facets
 from .next_event import Deposits
 from .rays import Flight
-from .sampling import Relay, apart, continues, in_turns, relay_turns, seeded, turns_of
+from .sampling import Relay, apart, continues, in_turns, rays_per_lane, seeded, turns_of
 from .setup import Setup
 from .sums import Sums, Totals
 from .surface_loop import PathSettings, scatter_plane, trace
@@ -87,7 +87,7 @@ def launch(one: Launch) -> Totals:
     inside = bool(setup.specimen.media)
     turns = 1 if traced else turns_of(setup.sampler, sizes[0])
     if inside and continues(setup.sampler):
-        turns = relay_turns(setup.sampler, sizes[0])
+        turns = rays_per_lane(setup.sampler, sizes[0])
     lanes = -(-sizes[0] // turns)
     if traced and len(sizes) * lanes == 1:
         lanes = 2  # in a single one Dr.Jit 1.5 takes a loop's variables for constants

@@ -147,7 +147,7 @@ class Relay:
     ) -> None:
         self.arrive = arrive
         # in a single lane Dr.Jit 1.5 takes a loop's variables for constants
-        self._n = max(2, -(-rays // relay_turns(sampler, rays)))
+        self._n = max(2, -(-rays // rays_per_lane(sampler, rays)))
         self._lane = dr.arange(mi.UInt32, self._n)
         self._points: Any = None
         if is_joint(sampler):
@@ -171,7 +171,7 @@ class Relay:
         return number + self._step
 
 
-def relay_turns(sampler: mi.Sampler, rays: int) -> int:
+def rays_per_lane(sampler: mi.Sampler, rays: int) -> int:
     """Rays that a lane of a relay sends one after the other, of so many in all."""
     fewest = MIN_RELAY_LANES
     if is_joint(sampler):

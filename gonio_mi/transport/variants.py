@@ -29,14 +29,14 @@ def is_parallel(variant: str) -> bool:
     return not variant.startswith("scalar")
 
 
-def is_usable(variant: str) -> bool:
+def is_parallel_unpolarised(variant: str) -> bool:
     """Whether it computes many rays at once, and without polarisation."""
     return is_parallel(variant) and not is_polarised(variant)
 
 
-def usable_variants() -> list[str]:
+def unpolarised_variants() -> list[str]:
     """Return those of this Mitsuba, whether or not they work on this machine."""
-    return [name for name in mi.variants() if is_usable(name)]
+    return [name for name in mi.variants() if is_parallel_unpolarised(name)]
 
 
 def parallel_variants() -> list[str]:
@@ -44,7 +44,7 @@ def parallel_variants() -> list[str]:
     return [name for name in mi.variants() if is_parallel(name)]
 
 
-def check_variant(accepts: Callable[[str], bool] = is_usable) -> None:
+def check_variant(accepts: Callable[[str], bool] = is_parallel_unpolarised) -> None:
     """Raise :class:`VariantError` if no variant is set that one `accepts`.
 
     And :class:`LLVMError` if Dr.Jit would abort the process at its first kernel.
@@ -55,7 +55,7 @@ def check_variant(accepts: Callable[[str], bool] = is_usable) -> None:
             "such as mi.set_variant('llvm_ad_mono')"
         )
     if not accepts(mi.variant()):
-        kind = "unpolarised llvm" if accepts is is_usable else "llvm"
+        kind = "unpolarised llvm" if accepts is is_parallel_unpolarised else "llvm"
         raise VariantError(
             f"gonio_mi needs an {kind} or cuda variant, such as "
             f"mi.set_variant('llvm_ad_mono'), got {mi.variant()}"

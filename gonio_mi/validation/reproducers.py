@@ -170,7 +170,9 @@ def script(verdict: Verdict, one: Property) -> str:
         words["CORNERS"] = str(rounded)
         if kind is Kind.SAMPLING and maps and maps.due.unused.values.sum() > UNUSED:
             words |= OF_LIT_SAMPLES
-    given = parts("matrix" if isinstance(kind, MatrixKind) else flavour(one.of_volumes))
+    given = parts(
+        "matrix" if isinstance(kind, MatrixKind) else script_kind(one.of_volumes)
+    )
     words = _place(verdict, one, condition) | words
     words["COUNT"] = "2**20" if "standard errors" in given[part] else "2**16"
     words |= {"COUNT": "27"} if part == "ENDS" else {}
@@ -184,7 +186,7 @@ def script(verdict: Verdict, one: Property) -> str:
 
 def by_lattices(verdict: Verdict, one: Property) -> str:
     """The same of the total of samples or weights, by lattices of directions."""
-    given, condition = parts(flavour(one.of_volumes)), _condition(one)
+    given, condition = parts(script_kind(one.of_volumes)), _condition(one)
     words = _place(verdict, one, condition) | {"COUNT": "2**16"}
     words |= _words(verdict, one, Kind[one.name.upper()])
     head = given["title"] + given["imports"] + _setting(verdict, condition, given)
@@ -193,7 +195,7 @@ def by_lattices(verdict: Verdict, one: Property) -> str:
 
 def in_two_variants(variant: str, source: str, of_volumes: bool) -> str:
     """Script that compares a scalar variant with LLVM's."""
-    given = dict(parts(flavour(of_volumes)))
+    given = dict(parts(script_kind(of_volumes)))
     if mi.is_spectral:
         colours = textwrap.indent(given["wavelengths"], "    ")
         given["variants"] = re.sub(r"(?=    value =)", colours, given["variants"])
@@ -209,8 +211,8 @@ def in_two_variants(variant: str, source: str, of_volumes: bool) -> str:
     return given["imports"] + _filled(given["variants"], words)
 
 
-def flavour(of_volumes: bool) -> str:
-    """Which parts stand for those of surfaces: ``medium``, ``polarised`` or none."""
+def script_kind(of_volumes: bool) -> str:
+    """Which parts of scripts there are: ``medium``, ``polarised`` or ``surface``."""
     return "medium" if of_volumes else "polarised" if mi.is_polarized else "surface"
 
 

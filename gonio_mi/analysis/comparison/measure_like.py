@@ -113,10 +113,10 @@ def measure_like(
             )
         return (_like_record(specimen, like, seed, settings, progress),)
     half_angle = like.aperture_half_angle or aperture_half_angle
-    solid_angles = like.patches if half_angle is None else half_angle
-    if solid_angles is None:
+    patches_or_angle = like.patches if half_angle is None else half_angle
+    if patches_or_angle is None:
         raise without_aperture(like)
-    return _like_table(specimen, like, solid_angles, seed or 0, settings, progress)
+    return _like_table(specimen, like, patches_or_angle, seed or 0, settings, progress)
 
 
 def is_specimen(thing: object) -> bool:
@@ -136,7 +136,7 @@ def without_aperture(table: MeasuredTable) -> SettingError:
 def _like_table(
     specimen: SpecimenLike,
     table: MeasuredTable,
-    solid_angles: Subdivision | float,
+    patches_or_angle: Subdivision | float,
     seed: int,
     settings: dict[str, Any],
     progress: bool,
@@ -161,12 +161,14 @@ def _like_table(
         if not asked:  # the comparison knows which precision was reached
             ignored = "(rel_err|noise) of .* was not reached"
             warnings.filterwarnings("ignore", ignored)
-        if not isinstance(solid_angles, Subdivision):
+        if not isinstance(patches_or_angle, Subdivision):
             ways = [settings | way for way in ([{}] if asked else _ways(table))]
-            return _in_apertures(specimen, table, solid_angles, seed, ways, progress)
+            return _in_apertures(
+                specimen, table, patches_or_angle, seed, ways, progress
+            )
         if not asked:
-            settings["noise"] = _noise(table, solid_angles)
-        settings |= {"collector": solid_angles, "seed": _other_seed(seed, 0)}
+            settings["noise"] = _noise(table, patches_or_angle)
+        settings |= {"collector": patches_or_angle, "seed": _other_seed(seed, 0)}
         return tuple(_stack(specimen, table.incident, settings, progress))
 
 

@@ -104,7 +104,7 @@ def pair_with_table(
                 "measure it with hemispheres='both'"
             )
         channel = _channel(record, table, notes)
-        notes += unlike_the_table(record, table)
+        notes += unlike_incident_cone(record, table)
         patch, held = record.subdivision.detectors(v)
         in_patches = _stand_for_points(record.subdivision, table)
         for k in range(len(record)):
@@ -328,7 +328,7 @@ def unlike_conditions(record: Record, other: Record) -> list[str]:
     ]
 
 
-def unlike_the_table(record: Record, table: MeasuredTable) -> list[str]:
+def unlike_incident_cone(record: Record, table: MeasuredTable) -> list[str]:
     """A note on light that came in another cone than a table says; or none."""
     known, told = _known(record), table.emitter_half_angle
     collimated = str(known["emitter"]).startswith("Directional")

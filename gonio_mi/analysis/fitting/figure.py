@@ -47,7 +47,7 @@ def fit_figure(fits: Any, path: str | PathLike[str] | None = None) -> Figure:
     if not all(_is_same(one.record, record) for one in fits):
         raise SettingError("fits must be of one record to be drawn together")
     if isinstance(record, MeasuredTable) or record.subdivision.axes is not None:
-        return _points_figure(fits, path)
+        return _figure_of_points(fits, path)
     shown = evenly(len(record), MAX_DIRECTIONS)
     rows = ["brdf", *(["btdf"] if record.has_lower and record.btdf.any() else [])]
     figure = new_figure(path, figsize=(5 * len(shown) + 1, 4.2 * len(rows)))
@@ -101,7 +101,7 @@ class _Points:
     unit: Floats
 
 
-def _points_figure(fits: list[Any], path: str | PathLike[str] | None) -> Figure:
+def _figure_of_points(fits: list[Any], path: str | PathLike[str] | None) -> Figure:
     """Draw fits over the signed polar angle, and below what they leave.
 
     A column for each of up to four incident directions, of the first channel.

@@ -107,7 +107,7 @@ def _check_values(
     after = _after_sweep(evidence, plan, sides, others)
     if after is not None and not _biases(after):
         text = "directions after a change of all parameters"
-        evidence.test(PARAMETERS, _least_p(after), text)
+        evidence.test(PARAMETERS, _corrected_p(after), text)
         _check_further(evidence, plan, values)
         return
     # together, they may be out of their range
@@ -123,7 +123,10 @@ def _check_values(
             evidence.breach(PARAMETERS, guess, found=text, size=2.0, about=name)
         else:
             text = min(found.tests, key=lambda test: test.p).statistic
-            text, p = f"after a change of {name}: {text}", len(values) * _least_p(found)
+            text, p = (
+                f"after a change of {name}: {text}",
+                len(values) * _corrected_p(found),
+            )
             how = {"kind": Kind.DENSITY_AFTER_A_CHANGE, "about": name, "guess": guess}
             evidence.test(PARAMETERS, min(1.0, p), text, **how)
         return
@@ -348,14 +351,14 @@ def _after_one_change(
     return worst
 
 
-def _least_p(found: Evidence) -> float:
+def _corrected_p(found: Evidence) -> float:
     """Probability that chance makes the worst of all tests as bad as it is."""
     return min([1.0, *(len(found.tests) * test.p for test in found.tests)])
 
 
 def _biases(found: Evidence) -> bool:
     """Whether something certainly fails after a change."""
-    return _least_p(found) < MAX_P or bool(_breaches(found))
+    return _corrected_p(found) < MAX_P or bool(_breaches(found))
 
 
 def _breaches(found: Evidence) -> list[Breach]:
