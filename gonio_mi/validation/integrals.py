@@ -20,8 +20,9 @@ from ..array_types import Flags, Floats, Integers, Singles
 from ..collector.directions import direction
 from ..collector.hemisphere import RingsAndSectors
 from ..errors import SpecimenError
+from ..mitsuba_compat import floats
 from ..quadrature.integrate import integrate
-from .probe import Probe, floats
+from .probe import Probe
 from .tally import PatchTotals, patch_of
 
 # Numbers of points and generators of Fibonacci lattices, where patches need ever more,

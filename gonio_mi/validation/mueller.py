@@ -30,10 +30,11 @@ from ..collector.stokes import (
     reframed,
     turn,
 )
+from ..mitsuba_compat import floats
 from ..single_precision import BSDF_ROUNDING
 from .conditions import N_SPOTS, Condition
 from .mistakes import EVAL, SAMPLE, Function, Mistake
-from .probe import Probe, floats, numbers, random_numbers, spectral, vectors
+from .probe import Probe, numbers, random_numbers, spectral, vectors
 from .samples import SLACK, ULPS
 
 # Texture coordinates.

@@ -11,11 +11,11 @@ import mitsuba as mi
 import numpy as np
 
 from ..array_types import Flags, Floats, Integers, Numbers
+from ..mitsuba_compat import floats
 from ..single_precision import BSDF_ROUNDING
 from .conditions import Condition
 from .probe import (
     Probe,
-    floats,
     is_delta,
     numbers,
     random_numbers,

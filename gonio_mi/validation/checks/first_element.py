@@ -10,13 +10,14 @@ import numpy as np
 
 from ...array_types import Flags, Floats, Integers
 from ...errors import SettingError
+from ...mitsuba_compat import floats
 from ...transport.bsdf_trial import PluginFault
 from ...transport.variants import unpolarised
 from ..conditions import Condition
 from ..evidence import BIAS, POLARISING, SAME, Evidence, Question
 from ..mistakes import Mistake
 from ..mueller import Lobes, Matrices
-from ..probe import Probe, floats, numbers, random_numbers, spectral, vectors
+from ..probe import Probe, numbers, random_numbers, spectral, vectors
 from ..samples import beyond_rounding
 
 FIRST_ELEMENT = Question(

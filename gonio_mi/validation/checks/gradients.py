@@ -11,6 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from ...array_types import Flags, Floats
+from ...mitsuba_compat import floats
 from ...single_precision import BSDF_ROUNDING
 from ...transport.bsdf_trial import PluginFault
 from ..conditions import Effort
@@ -22,7 +23,6 @@ from ..probe import (
     as_plugin_fault,
     assign,
     changed,
-    floats,
     number_parameters,
     numbers,
     spectral,
