@@ -73,7 +73,7 @@ def judged(name):
 # What is said where a frame is known; the second is the twin of the first.
 SAID = {
     "draws_local": "`sample` draws directions about z, not about wi",
-    "draws_backward": "`sample` draws directions opposite to those",
+    "draws_backward": "`sample` draws directions opposite to the right",
 }
 
 

@@ -494,7 +494,7 @@ def verdict_of(*p_values, effort="quick", variant="llvm_ad_rgb"):
     for p in (*p_values, *[0.5] * (10 - len(p_values))):
         evidence.test(SAMPLING, p, "z")
     settings = {"effort": effort, "seed": 0, "alpha": 1e-3, "strict": False}
-    settings |= {"variant": variant, "n_tests": 10, "n_samples": 1}
+    settings |= {"variant": variant, "n_tests": 10, "n_samples": 1, "tints": {}}
     found = tuple(properties_of(evidence, 1e-3))
     return Verdict("paint", found, "pdf", "a mistake", settings)
 

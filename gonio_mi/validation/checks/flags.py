@@ -144,22 +144,26 @@ def check_sides(evidence: Evidence) -> None:
         ("Anisotropic", turned, _turn, Kind.ANISOTROPIC),
         ("NeedsDifferentials", given, _differentiate, Kind.DIFFERENTIALS),
     ):
-        share = 0.0 if declared else _changed(bsdf, samples, change)
+        share = 0.0 if declared else _changed(evidence, samples, change)
         if share:
             text = f"`eval` changes for {share:.3g} of them"
             guess = Declared.DEPENDENCE(FLAGS, name=name)
             evidence.breach(DECLARED, guess, base, statistic=text, kind=kind)
-    if not flags & int(all_flags.SpatiallyVarying) and _changed(bsdf, samples, _move):
+    if not flags & int(all_flags.SpatiallyVarying) and _changed(
+        evidence, samples, _move
+    ):
         text = "`eval` depends on uv without SpatiallyVarying, as Mitsuba's own do"
         evidence.remark("flags", text)
 
 
 def _changed(
-    bsdf: mi.BSDF, samples: Samples, change: Callable[[Probe, Floats], Floats]
+    evidence: Evidence, samples: Samples, change: Callable[[Probe, Floats], Floats]
 ) -> float:
     """Fraction of samples for which `change` changes ``eval``; 0 if they are few."""
-    probe = Probe(bsdf, samples.condition)
+    probe = Probe(evidence.bsdf, samples.condition)
     value = probe.values(change(probe, samples.wo))
+    if evidence.by_chance(value, samples.eval, samples.wo):
+        return 0.0
     differs = unequal(value, samples.eval, samples.eval_slack) & samples.smooth
     return float(differs.mean()) if beyond_rounding(differs) else 0.0
 

@@ -307,7 +307,7 @@ def test_a_campaign_keeps_what_it_found(adaptive, monkeypatch):
     setups, refusals, found = [], [], measure.single_scattering
 
     def refused(some, report):
-        if any(one.theta_i == 7.5 for one in some):
+        if any(one.theta_i == 11.25 for one in some):
             refusals.append(some)
             raise SpecimenError("rays cost less")
         setups.extend(some)
