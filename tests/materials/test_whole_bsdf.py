@@ -583,8 +583,8 @@ def test_a_coarse_tolerance_begins_coarser(tolerance, first, capsys):
     least = 6 + (first[0] - 1) + N_UNSEEN
     most = 6 + 2 * (first[0] - 1) * 2 * first[1] + N_UNSEEN
     assert capsys.readouterr().err == (
-        f"plate: some {least} directions ({2 * least} s) or more if it is "
-        f"isotropic, else some {most} ({2 * most} s)\n"
+        f"plate: about {least} directions ({2 * least} s) or more if "
+        f"isotropic, otherwise about {most} ({2 * most} s)\n"
     )
     assert known.expected == least
 
