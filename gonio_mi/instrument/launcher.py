@@ -42,9 +42,9 @@ FIRST_POINTS = 2**22
 # depend on the launch, rounds are whole launches.
 ROUND_TRACED, ROUND_PLANE = 2**17, 2**24
 
-# Rays of few batches in a round, at least: neighbours along the curve, which traverse
-# the same part of the specimen, are as close as those of many batches.
-ROUND_SHARED = 2**21
+# Rays of all batches in a round through surfaces, at least: each walks along the whole
+# curve, where neighbours traverse the same part of the specimen.
+ROUND_SHARED = 2**23
 
 # Incident directions that may share a launch, at least: it is another kernel, and to
 # compile it takes as long as some dozens of launches.
@@ -64,8 +64,10 @@ def round_rays(setup: Setup) -> int:
     """Rays of each batch in the first rounds."""
     if not is_joint(setup.sampler):
         return MAX_LAUNCH
+    if not traces(setup):
+        return ROUND_PLANE
     shared = ROUND_SHARED >> (setup.settings.batches - 1).bit_length()
-    return max(ROUND_TRACED, shared) if traces(setup) else ROUND_PLANE
+    return ROUND_TRACED if setup.specimen.media else max(ROUND_TRACED, shared)
 
 
 class Launcher:
