@@ -66,8 +66,9 @@ def round_rays(setup: Setup) -> int:
         return MAX_LAUNCH
     if not traces(setup):
         return ROUND_PLANE
-    shared = ROUND_SHARED >> (setup.settings.batches - 1).bit_length()
-    return ROUND_TRACED if setup.specimen.media else max(ROUND_TRACED, shared)
+    if setup.specimen.media or setup.settings.n_looks > 1:  # rays that take long
+        return ROUND_TRACED
+    return max(ROUND_TRACED, ROUND_SHARED >> (setup.settings.batches - 1).bit_length())
 
 
 class Launcher:

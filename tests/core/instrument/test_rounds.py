@@ -6,6 +6,7 @@ Everything here is exact: rays, ledgers and bits.
 import signal
 import warnings
 from dataclasses import replace
+from types import SimpleNamespace
 
 import mitsuba as mi
 import numpy as np
@@ -68,6 +69,21 @@ def rays_of(record):
 
 
 # ----------------------------------------------------------------------- rounds
+
+
+def test_only_rays_that_are_soon_traced_have_long_rounds(monkeypatch):
+    """Through surfaces; twins: in media, and of rays that look at points."""
+    monkeypatch.setattr(launcher, "ROUND_SHARED", 2**14)
+
+    def rays(media=(), n_looks=1, batches=3):
+        specimen = SimpleNamespace(media=media, plane=None)
+        settings = SimpleNamespace(batches=batches, n_looks=n_looks, trace=True)
+        sampler = mi.load_dict({"type": "sobol"})
+        setup = SimpleNamespace(specimen=specimen, settings=settings, sampler=sampler)
+        return launcher.round_rays(setup)
+
+    assert [rays(batches=n) for n in (1, 3, 4, 64)] == [2**14, 2**12, 2**12, 2**10]
+    assert rays(media=("fog",)) == rays(n_looks=900) == 2**10
 
 
 @pytest.mark.parametrize("plan", [[1], [7, 6], [1024] * 3, [10**9] * 16])
