@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -331,13 +332,14 @@ def lost_light(record: Record) -> list[str]:
     if not ledger.truncated and stray <= MAX_STRAY * ledger.emitted:
         return []  # without looking for the statistical error
 
+    # none before it is asked for: intervals take longer than a few rays
+    direction = cache(lambda number: _direction(record[number]))
+
     def exceeds(row: str) -> bool:
         """Whether a row is above the statistical error in any direction."""
-        # up to the first: intervals take longer than a few rays
-        found = ((look, look.ledger) for look in record)
         return any(
-            _direction(look).exceeds_error(row)
-            for look, own in found
+            direction(number).exceeds_error(row)
+            for number, own in enumerate(look.ledger for look in record)
             if getattr(own, row) > MAX_STRAY * own.emitted
         )
 

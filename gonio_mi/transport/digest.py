@@ -66,13 +66,13 @@ def digest(things: Iterable[Any]) -> str:
     return hashlib.sha256("".join(each).encode()).hexdigest()[:LENGTH]
 
 
-def geometry_digest(shapes: Iterable[mi.Shape]) -> str:
-    """Digest of the shapes' own parameters, in this order, without BSDF and emitter."""
-    found = hashlib.sha256()
-    for shape in shapes:
-        for part in _parameters(shape, mi.Shape):
-            found.update(part)
-    return found.hexdigest()
+def geometry_hash(shapes: Iterable[mi.Shape]) -> int:
+    """Hash of the shapes' own parameters, in this order, without BSDF and emitter.
+
+    Of this process alone, and faster than a digest.
+    """
+    parts = (part for shape in shapes for part in _parameters(shape, mi.Shape))
+    return hash(tuple(map(hash, parts)))
 
 
 def _object_digest(thing: Any) -> str:

@@ -19,7 +19,7 @@ import numpy as np
 
 from ..array_types import Floats
 from ..mitsuba_compat import triangles_of
-from .digest import geometry_digest
+from .digest import geometry_hash
 from .scene_objects import traversed
 
 # Option of a scene, without which rays slip between the triangles of a mesh.
@@ -28,7 +28,7 @@ WATERTIGHT = {"embree_use_robust_intersections": True}
 # Odd and without a pattern: 2**64 over the golden ratio.
 MIXED = 0x9E3779B97F4A7C15
 
-# The shapes that were built last, a digest of their geometry, and their scene: what is
+# The shapes that were built last, a hash of their geometry, and their scene: what is
 # measured again is found here, and nothing else is kept alive.
 _last: list[Any] = []
 
@@ -63,7 +63,7 @@ def scene_of(shapes: Sequence[mi.Shape], groups: Sequence[mi.Shape] = ()) -> mi.
     geometry has changed since.
     """
     shapes = [*groups, *shapes]
-    geometry = geometry_digest(shapes)
+    geometry = geometry_hash(shapes)
     if _last and [*map(id, _last[0])] == [*map(id, shapes)] and _last[1] == geometry:
         return _last[2]
     forget()
@@ -84,7 +84,7 @@ def remember(scene: mi.Scene) -> None:
     Its emitters may be no shapes; else the specimen is built without them.
     """
     shapes = [*groups_of(scene), *scene.shapes()]
-    _last[:] = shapes, geometry_digest(shapes), scene
+    _last[:] = shapes, geometry_hash(shapes), scene
 
 
 def _names(shapes: Sequence[mi.Shape]) -> list[str]:

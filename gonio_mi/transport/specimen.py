@@ -304,9 +304,10 @@ class Specimen:
         aim, (size,) = low + place * (high - low), in_memory([self.size])
         ray, down = mi.Ray3f(aim - size * d, d), mi.Vector3f(0, 0, -1)
         si = intersect(self.scene, ray, MINIMAL, True)
-        behind = dr.any(si.is_valid() & (dr.dot(si.n, d) > 0))
-        covered = dr.all(self.scene.ray_test(mi.Ray3f(aim - size * down, down)))
-        return "open" if behind & covered else "closed"
+        behind = si.is_valid() & (dr.dot(si.n, d) > 0)
+        covered = self.scene.ray_test(mi.Ray3f(aim - size * down, down))
+        dr.eval(behind, covered)  # by one kernel
+        return "open" if dr.any(behind) and dr.all(covered) else "closed"
 
     @cached_property
     def is_height_map(self) -> bool:
