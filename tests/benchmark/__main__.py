@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import mitsuba as mi
 
-from . import commands, reference_cases, round_trips, stock, windows
+from . import commands, growth, reference_cases, round_trips, stock, windows
 from .automatic import print_auto_costs, print_auto_coverage
 from .batch_designs import print_ratios
 from .counting import print_rates
@@ -14,13 +14,14 @@ from .coverage import CASES, print_coverage
 from .diffuse_facets import facet_contests
 from .equal_error import print_contests, print_costs
 from .micro_geometry import print_speeds
-from .stacks import print_growth, print_integrals, print_stacks
+from .stacks import print_integrals, print_stacks
 from .tolerances import print_campaigns
 from .turbid_layer import layer_contests, print_layer_speeds
 
 # Tables of their own, each with its own options.
 TABLES = {
     "commands": commands.main,
+    "growth": growth.main,
     "reference_cases": reference_cases.main,
     "round_trips": round_trips.main,
     "stock": stock.main,
@@ -55,9 +56,6 @@ def main(argv: Sequence[str]) -> None:
     part = parser.add_mutually_exclusive_group()
     for name, what in PARTS.items():
         part.add_argument(f"--{name}", action="store_true", help=what)
-    what = "memory and time per ray from 1e7 to RAYS (1e9), instead"
-    long = part.add_argument("--long", type=float, metavar="RAYS", help=what)
-    long.nargs, long.const = "?", 1e9
     what = "what campaigns of this tolerance cost, beside grids; hours below 0.01"
     part.add_argument("--tolerance", type=float, metavar="X", help=what)
     add = parser.add_argument
@@ -107,8 +105,6 @@ def _run(options: argparse.Namespace) -> None:
             print_auto_costs(wish, *cost, options.only)
         if not options.only:
             print_auto_coverage()
-    elif options.long:
-        print_growth(int(options.long))
     else:
         if not options.equal_error:
             print_rates(int(options.rays or 2**24), options.repeats)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 from typing import Any
@@ -10,13 +11,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from gonio_mi.campaigns.measure import measure
 from gonio_mi.collector.directions import direction
-from gonio_mi.instrument.launcher import Launcher
-from gonio_mi.instrument.recording import record_of
-from gonio_mi.instrument.schedule import Round
-from gonio_mi.instrument.setup import set_up
-from gonio_mi.results.tally import Tally, batch_sizes
-from gonio_mi.settings import MeasurementSettings
 from gonio_mi.transport.beam import Beam
 from gonio_mi.transport.rays import SURFACE_OFFSET
 from gonio_mi.transport.specimen import Specimen
@@ -29,6 +25,8 @@ THETA_I = 30.0  # degrees
 # No path on such a surface has as many events.
 MAX_DEPTH = 1000
 
+BATCHES = 16, 1, 2, 4, 8, 64
+
 
 def surface(resolution: int, alpha: float = 0.5) -> dict[str, Any]:
     """Height field of ``resolution x resolution`` cells as a Mitsuba dictionary."""
@@ -40,7 +38,7 @@ def surface(resolution: int, alpha: float = 0.5) -> dict[str, Any]:
 def gonio_paths(
     resolution: int, sampler: str, batches: int, period: str = "none"
 ) -> Callable[[int, int], float]:
-    """Our instrument: a function that measures as `measure` does with loaded scenes.
+    """Our instrument, as a user calls it for a scene that is loaded.
 
     Returns
     -------
@@ -49,19 +47,17 @@ def gonio_paths(
         bars of the record are computed too.
     """
     scene = mi.load_dict({"type": "scene", "surface": surface(resolution)})
-    given = {"max_depth": MAX_DEPTH, "batches": batches, "period": period}
-    settings = MeasurementSettings().changed(sampler={"type": sampler}, **given)
-    (setup,) = set_up(scene, settings, [(THETA_I, 0.0)])
+    how: dict[str, Any] = {"sampler": sampler, "batches": batches, "period": period}
 
     def _send(rays: int, seed: int) -> float:
-        # anew, for it learns how many rays a launch takes
-        launcher, setup.key = Launcher([setup]), (seed, 0)
-        part = Round(tuple(batch_sizes(rays, batches)))
-        (tallies,) = zip(*launcher.tallies([setup], part))
-        record = record_of(setup, Tally.join(tallies))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of rays that pass its edges
+            record = measure(
+                scene, THETA_I, rays=rays, seed=seed, max_depth=MAX_DEPTH, **how
+            )
         if batches > 1:
             record.interval(0.95)
-        return record.tallies[0].ledger.reflected / rays
+        return record.ledger.reflected / rays
 
     return _send
 
@@ -193,11 +189,10 @@ def print_speeds(
 def _print_speeds(rays: int, repeats: int, resolution: int) -> None:
     """Print paths per second on one surface."""
     ours = partial(gonio_paths, resolution)
-    sixteen, curve = "gonio-mi, 16 batches", "along a curve (sobol)"
+    sixteen, curve = "measure, 16 batches", "along a curve (sobol)"
     ways = {
         (sixteen, "random origins (independent)"): ours("independent", 16),
-        (sixteen, curve): ours("sobol", 16),
-        ("gonio-mi, one batch", curve): ours("sobol", 1),
+        **{(f"measure, {n} batches", curve): ours("sobol", n) for n in BATCHES},
         (sixteen, "the same, one periodic cell"): ours("sobol", 16, period="box"),
         ("Embree alone", curve): bare_paths(resolution, rows=False),
         ("Embree alone", "in rows"): bare_paths(resolution, rows=True),

@@ -1,4 +1,4 @@
-"""How time and memory grow: with directions in a stack, and with rays."""
+"""What a direction costs in a stack, by rays and by integrals."""
 
 from functools import partial
 from typing import Any
@@ -7,9 +7,9 @@ import numpy as np
 
 from gonio_mi.campaigns.measure import measure
 
-from .baselines import PATCHES, THETA_I
+from .baselines import PATCHES
 from .table import print_table
-from .timing import cpu_seconds, in_turns, peak_memory
+from .timing import in_turns, peak_memory
 
 SPECIMENS = {
     "rough conductor": {"type": "roughconductor", "alpha": 0.2, "distribution": "ggx"},
@@ -78,24 +78,3 @@ def _integrals(kind: str, theta_i: Any = ANGLES) -> None:
 def _alone(kind: str) -> None:
     for theta_i in ANGLES:
         _integrals(kind, theta_i)
-
-
-def print_growth(most: int) -> None:
-    """Print peak memory and time per ray from 1e7 rays to `most`, by factors of ten."""
-    rows = []
-    white = {"type": "diffuse", "reflectance": 1.0}
-    for sampler in ("sobol", "independent"):
-        send = partial(measure, white, THETA_I, collector=PATCHES, sampler=sampler)
-        send(rays=10**6)
-        rays = 10**7
-        while rays <= most:
-            start = cpu_seconds()
-            send(rays=rays)
-            each = f"{1e9 * (cpu_seconds() - start) / rays:.2f}"
-            rows.append((sampler, f"{rays:.0e}", each, f"{peak_memory() / 2**20:.1f}"))
-            rays *= 10
-    print_table(
-        "Growth: diffuse, 900 patches; the peak is that of the process so far",
-        ("sampler", "rays", "core-ns per ray", "peak MiB"),
-        rows,
-    )
