@@ -28,6 +28,9 @@ from .conditions import N_SPOTS, POSITION, TURN, Condition, surroundings
 # What surroundings have of a field besides.
 WITH = {"sh_frame": "s", "dp_du": "dp_dv"}
 
+# Rays of the sample of a map that is not `quick`.
+MANY = 2**20
+
 # Of no rays, with which nothing was asked yet.
 NOTHING = 0, None, None, ()
 
@@ -61,7 +64,7 @@ class Probe:
         axes = TURN if condition.turned else np.eye(3)
         self.axes = [mi.Vector3f(axis.tolist()) for axis in axes.T]
         self.p = mi.Point3f((POSITION if condition.turned else 0 * POSITION).tolist())
-        self.spots = mi.UInt32(condition.spots)
+        self.spots = mi.UInt32(floats(condition.spots))
         names = {*condition.fields} - {"uv"}
         names |= {WITH[name] for name in names & WITH.keys()}
         self.fields = {}
@@ -157,7 +160,12 @@ class Probe:
         return numbers(self.pdf(vectors(wo), wi=_or_none(wi)), len(wo)).astype(float)
 
     def eval_and_pdf(self, wo: mi.Vector3f) -> tuple[mi.Spectrum, mi.Float]:
-        """Answers of ``eval`` and of ``pdf`` from one kernel, which shares work."""
+        """Answers of ``eval`` and of ``pdf``, of many from a kernel that shares work.
+
+        A few take less time than compiling one for both.
+        """
+        if dr.width(wo) < MANY:
+            return self.eval(wo), self.pdf(wo)
         answers = [self._asked(name, wo) for name in ("eval", "pdf")]
         with as_plugin_fault("eval"):
             dr.eval(answers)

@@ -233,7 +233,7 @@ def batch_of(
     bs, sampled_weight = probe.sample(*uniform(n, key))
     value, pdf = probe.eval_and_pdf(bs.wo)
     # by wo alone, for all plugins: compiling this takes longer than most of theirs
-    index = numbers(patch_of(subdivision, condition, _with_azimuth(bs.wo, n)), n)
+    index = numbers(patch_of(subdivision, condition, bs.wo), n)
     weight, density = spectral(sampled_weight, n), numbers(pdf, n).astype(float)
     delta = (numbers(bs.sampled_type, n) & int(mi.BSDFFlags.Delta)) != 0
     # a weight of zero means that sample failed, or that the BSDF is black there
@@ -262,8 +262,8 @@ def patch_of(
     subdivision: RingsAndSectors, condition: Condition, wo: mi.Vector3f
 ) -> mi.UInt32:
     """Index of the patch of each direction, as of :class:`PatchTotals`."""
-    m = subdivision.n_patches
-    face = 1.0 if condition.side == "front" else -1.0
+    m, wo = subdivision.n_patches, _with_azimuth(wo, dr.width(wo))
+    face = dr.opaque(mi.Float, 1 if condition.side == "front" else -1)
     index = subdivision.patch_index(DRJIT, wo.x, wo.y, dr.abs(wo.z))
     index = dr.clip(index, 0, m - 1) + dr.select(face * wo.z < 0, float(m), 0.0)
     return mi.UInt32(index)
