@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from typing import Any
 
 import mitsuba as mi
@@ -66,7 +66,7 @@ class Condition:
     fields: tuple[str, ...] = ()
     spot: int = 0
 
-    @property
+    @cached_property
     def wi(self) -> Floats:
         """Unit vector to the source, shape (3,), in local coordinates."""
         if self.lit is not None:
@@ -148,20 +148,15 @@ class Sweep(Condition):
     n: int = 0
     both: bool = False
 
-    @cached_property
+    @property
     def angles(self) -> Floats:
         """Polar angle and azimuth of each direction in degrees, shape (2, n)."""
-        i = np.arange(self.n)
-        return np.array([(i + 0.5) / self.n * MAX_SWEPT, i * GOLDEN_ANGLE % 360])
+        return _swept(self.n, self.side, self.both)[0]
 
-    @cached_property
+    @property
     def wi(self) -> Floats:
         """Unit vectors to the source, shape (n, 3), in local coordinates."""
-        faces = np.full(self.n, 1 if self.side == "front" else -1)
-        faces[1::2] *= -1 if self.both else 1
-        return direction(*np.radians(self.angles)) * np.stack(
-            [np.ones(self.n), np.ones(self.n), faces], axis=1
-        )
+        return _swept(self.n, self.side, self.both)[1]
 
     @cached_property
     def spots(self) -> Integers:
@@ -174,7 +169,7 @@ class Sweep(Condition):
         odd, half = self.spots % 2, self.spots // 2
         return np.where(odd, len(PLACES), half % len(PLACES))
 
-    @property
+    @cached_property
     def uvs(self) -> Floats:
         """Texture coordinates of each, in [0, 1) if they are no field; shape (n, 2)."""
         uv = surroundings()["uv"][self.spots]
@@ -223,6 +218,18 @@ class Sweep(Condition):
 
     def __str__(self) -> str:
         return f"all angles of incidence{self._more}"
+
+
+@lru_cache(4)
+def _swept(n: int, side: str, both: bool) -> tuple[Floats, Floats]:
+    """Angles and directions of a sweep, the same for all fields."""
+    i = np.arange(n)
+    angles = np.array([(i + 0.5) / n * MAX_SWEPT, i * GOLDEN_ANGLE % 360])
+    faces = np.full(n, 1 if side == "front" else -1)
+    faces[1::2] *= -1 if both else 1
+    wi = direction(*np.radians(angles))
+    wi[:, 2] *= faces
+    return angles, wi
 
 
 def sides_of(bsdf: mi.BSDF) -> tuple[str, ...]:

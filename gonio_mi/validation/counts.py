@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -20,7 +21,7 @@ from .evidence import Evidence
 from .factors import FACTORS, factor
 from .maps import FourMaps
 from .mistakes import PDF, SAMPLE, Function, Guess, Mistake
-from .probe import Probe, numbers, spectral, uniform, vectors
+from .probe import Probe, numbers, uniform, vectors
 from .samples import MAX_SCORE, Samples, beyond_rounding, moments, samples_of
 from .tally import groups, patch_of
 
@@ -331,16 +332,19 @@ def _half_vectors_changed(
     """Changes of half vectors, with shares of the reflected directions by patch."""
     probe = Probe(bsdf, maps.condition)
     bs, _ = probe.sample(*uniform(N_REDRAWN, (0, 75)))
-    wi, wo = maps.condition.wi, spectral(bs.wo, N_REDRAWN)
-    given = np.abs(np.linalg.norm(wo, axis=1) - 1) < BSDF_ROUNDING
-    half = np.where(given[:, None], wo, wi) + wi
-    half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
+    wi = dr.opaque(mi.Vector3f, maps.condition.wi.tolist())
+    given = dr.abs(dr.norm(bs.wo) - 1) < BSDF_ROUNDING
+    half = dr.select(given, bs.wo, wi) + wi
+    half /= dr.maximum(dr.norm(half), 1e-9)
+    dr.eval(half, given)
     for how, change in CHANGES_OF_HALF_VECTORS.items():
-        h = np.column_stack([half[:, :2] @ change, half[:, 2]])
-        reflected = 2 * (h @ wi)[:, None] * h - wi
-        index = patch_of(maps.subdivision, maps.condition, vectors(reflected))
-        lit = given & (probe.densities(reflected) > 0)
-        counts = np.bincount(numbers(index, len(lit)), lit, len(maps.pdf))
+        x, y = (dr.opaque(mi.Point2f, row.tolist()) for row in np.transpose(change))
+        flat = mi.Point2f(half.x, half.y)
+        h = mi.Vector3f(dr.dot(flat, x), dr.dot(flat, y), half.z)
+        reflected = 2 * dr.dot(h, wi) * h - wi
+        lit = numbers(given & (probe.pdf(reflected) > 0), N_REDRAWN)
+        index = numbers(patch_of(maps.subdivision, maps.condition, reflected), len(lit))
+        counts = np.bincount(index, lit, len(maps.pdf))
         yield how, counts / len(lit)
 
 

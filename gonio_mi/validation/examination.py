@@ -278,8 +278,8 @@ def _check_samples(
     samples = samples_of(evidence.bsdf, condition, n, key)
     evidence.samples.append(samples)
     check_identities(evidence, samples)
-    answers.check_lattice(evidence, Probe(evidence.bsdf, condition))
-    eval_pdf.check_lattice(evidence, Probe(evidence.bsdf, condition))
+    probe = Probe(evidence.bsdf, condition)
+    eval_pdf.check_lattice(evidence, probe, *answers.check_lattice(evidence, probe))
     ways = reciprocity.both_ways(samples)
     if ways is not None:
         ways = reciprocity.dispersed(directions.check_eta(evidence, ways))

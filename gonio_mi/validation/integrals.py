@@ -312,7 +312,7 @@ def _adaptive(
 ) -> Expected:
     """Integrals by cells that are split until that changes little."""
     condition, left = probe.condition, _most_evaluations(totals)
-    limit_of = mi.Float(weight_limits)
+    limit_of = floats(weight_limits)
 
     def values(_ctx: Any, _si: Any, wo: mi.Vector3f, _active: Any) -> list[mi.Float]:
         """All of :class:`Expected`, as long as there are evaluations left."""

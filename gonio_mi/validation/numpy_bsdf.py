@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import SettingTypeError
-from .probe import numbers, spectral
+from ..mitsuba_compat import floats
+from .probe import numbers, spectral, vectors
 
 
 def from_numpy(
@@ -85,11 +86,10 @@ def from_numpy(
             u = np.column_stack([numbers(sample1, n), spectral(sample2, n)])
             wo, weight, density = sample(wi, u)
             bs = dr.zeros(mi.BSDFSample3f, n)
-            bs.wo = mi.Vector3f(np.ascontiguousarray(np.asarray(wo).T, np.float32))
-            bs.pdf, bs.eta = _number(density, n), 1.0
-            passes = np.asarray(wo)[:, 2] * wi[:, 2] < 0
-            kinds = (int(flags.GlossyReflection), int(flags.GlossyTransmission))
-            bs.sampled_type = mi.UInt32(np.where(passes, kinds[1], kinds[0]))
+            bs.wo, bs.pdf, bs.eta = vectors(np.asarray(wo)), _number(density, n), 1.0
+            kinds = (flags.GlossyTransmission, flags.GlossyReflection)
+            passes = bs.wo.z * si.wi.z < 0
+            bs.sampled_type = dr.select(passes, *(mi.UInt32(int(x)) for x in kinds))
             return bs, _spectrum(weight, n) & self._on(ctx, active)
 
         def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> mi.Spectrum:
@@ -111,11 +111,11 @@ def from_numpy(
 
 
 def _number(values: ArrayLike, n: int) -> mi.Float:
-    return mi.Float(np.ascontiguousarray(np.broadcast_to(values, n), np.float32))
+    return floats(np.broadcast_to(values, n))
 
 
 def _spectrum(values: ArrayLike, n: int) -> mi.Spectrum:
     values = np.asarray(values, dtype=np.float32)
     values = values[:, None] if values.ndim == 1 else values
     channels = dr.size_v(mi.Spectrum)
-    return mi.Spectrum(np.ascontiguousarray(np.broadcast_to(values, (n, channels)).T))
+    return mi.Spectrum(*map(floats, np.broadcast_to(values, (n, channels)).T))

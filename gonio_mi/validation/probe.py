@@ -28,6 +28,12 @@ from .conditions import N_SPOTS, POSITION, TURN, Condition, surroundings
 # What surroundings have of a field besides.
 WITH = {"sh_frame": "s", "dp_du": "dp_dv"}
 
+# Rays of the sample of a map that is not `quick`.
+MANY = 2**20
+
+# Of no rays, with which nothing was asked yet.
+NOTHING = 0, None, None, ()
+
 # Mitsuba's record of a sample, and its weight.
 Sample: TypeAlias = "tuple[mi.BSDFSample3f, mi.Spectrum]"
 
@@ -58,7 +64,7 @@ class Probe:
         axes = TURN if condition.turned else np.eye(3)
         self.axes = [mi.Vector3f(axis.tolist()) for axis in axes.T]
         self.p = mi.Point3f((POSITION if condition.turned else 0 * POSITION).tolist())
-        self.spots = mi.UInt32(condition.spots)
+        self.spots = mi.UInt32(floats(condition.spots))
         names = {*condition.fields} - {"uv"}
         names |= {WITH[name] for name in names & WITH.keys()}
         self.fields = {}
@@ -68,9 +74,11 @@ class Probe:
             self.fields[name] = kind(*map(floats, columns))
         # one kernel for all
         dr.make_opaque(self.axes, self.p, self.fields)
+        self._known: tuple[Any, ...] = NOTHING
 
     def of_lanes(self, i: mi.UInt32) -> Probe:
         """Ask the samples of these numbers, of as many as there are; return itself."""
+        self._known = NOTHING
         self.wi, self.uv, self.wavelengths, self.spots = (
             x if dr.width(x) <= 1 else dr.gather(type(x), x, i)
             for x in (self.wi, self.uv, self.wavelengths, self.spots)
@@ -152,7 +160,12 @@ class Probe:
         return numbers(self.pdf(vectors(wo), wi=_or_none(wi)), len(wo)).astype(float)
 
     def eval_and_pdf(self, wo: mi.Vector3f) -> tuple[mi.Spectrum, mi.Float]:
-        """Answers of ``eval`` and of ``pdf`` from one kernel, which shares work."""
+        """Answers of ``eval`` and of ``pdf``, of many from a kernel that shares work.
+
+        A few take less time than compiling one for both.
+        """
+        if dr.width(wo) < MANY:
+            return self.eval(wo), self.pdf(wo)
         answers = [self._asked(name, wo) for name in ("eval", "pdf")]
         with as_plugin_fault("eval"):
             dr.eval(answers)
@@ -210,22 +223,36 @@ class Probe:
     ) -> Any:
         """Answer of a function before it is evaluated, from arguments in memory."""
         n = self._width(wi, *arguments, active)
-        # one direction of incidence for all lanes would be another kernel
-        wi = mi.Vector3f(self.wi if wi is None else wi)
+        own, uv, nm, spots, every = self._inputs(n)
+        wi = own if wi is None else wi
         if dr.width(wi) < n:
-            wi += dr.zeros(mi.Vector3f, n)
-        # `n` may be so many times the samples, which are then asked again and again
-        uv, nm, spots = (
-            x if dr.width(x) in (0, n) else dr.tile(x, n // dr.width(x))
-            for x in (self.uv, self.wavelengths, self.spots if self.fields else None)
-        )
-        dr.make_opaque(wi, uv, nm, spots, arguments)
+            wi = wi + dr.zeros(mi.Vector3f, n)
+        active = active if isinstance(active, mi.Bool) else every
+        dr.make_opaque(wi, active, arguments)
         # a plugin may change its copies in place: narrow its mask, or flip a direction
         copies = [type(one)(one) for one in (*arguments, active)]
         with as_plugin_fault(function):
             method, si = getattr(self.bsdf, function), self.interaction(wi, spots)
             si.uv, si.wavelengths = uv, nm
             return method(ctx or self.condition.context, si, *copies)
+
+    def _inputs(self, n: int) -> tuple[Any, ...]:
+        """What `n` rays are asked with but for directions wo, in memory.
+
+        One direction of incidence for all, or no mask, would be another kernel.
+        """
+        rays, wi, uv, known = self._known
+        if not (rays == n and wi is self.wi and uv is self.uv):
+            # `n` may be so many times the samples, which are then asked again and again
+            spots = self.spots if self.fields else None
+            wide = [
+                x if dr.width(x) in (0, n) else dr.tile(x, n // dr.width(x))
+                for x in (self.wi, self.uv, self.wavelengths, spots)
+            ]
+            wide.append(dr.full(mi.Bool, True, n))
+            dr.make_opaque(wide)
+            self._known, known = (n, self.wi, self.uv, wide), wide
+        return known
 
     @staticmethod
     def _pair(
@@ -332,7 +359,8 @@ def is_delta(bs: mi.BSDFSample3f) -> mi.Bool:
 
 def numbers(value: Any, n: int) -> Numbers:
     """NumPy array of a scalar quantity, shape ``(n,)``."""
-    return np.broadcast_to(np.ravel(np.array(value)), n)
+    flat = np.ravel(np.array(value))
+    return flat if len(flat) == n else np.broadcast_to(flat, n)
 
 
 def spectral(value: Any, n: int) -> Floats:

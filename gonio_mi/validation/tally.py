@@ -20,7 +20,7 @@ from ..array_types import Flags, Floats, Integers, Numbers
 from ..collector.hemisphere import RingsAndSectors
 from ..transport.collector_sphere import DRJIT
 from .conditions import Condition
-from .probe import Probe, is_delta, numbers, spectral, uniform
+from .probe import Probe, numbers, spectral, uniform
 from .samples import SPOILED, unequal
 
 # Samples of one launch, whose values come back one by one.
@@ -230,24 +230,22 @@ def batch_of(
 ) -> Batch:
     """Draw `n` samples of one launch; weights that are not finite are 0."""
     probe = Probe(bsdf, condition)
-    m = subdivision.n_patches
     bs, sampled_weight = probe.sample(*uniform(n, key))
-    wo, delta = bs.wo, is_delta(bs)
-    value, pdf = probe.eval_and_pdf(wo)
-    # a weight of zero means that sample failed, or that the BSDF is black there
-    counted = ~delta & dr.any(sampled_weight != 0) & dr.isfinite(wo.z)
-    wo = _with_azimuth(wo, n)
-    index = dr.select(counted, patch_of(subdivision, condition, wo), 2 * m)
-    dr.eval(index, delta)
+    value, pdf = probe.eval_and_pdf(bs.wo)
+    # by wo alone, for all plugins: compiling this takes longer than most of theirs
+    index = numbers(patch_of(subdivision, condition, bs.wo), n)
     weight, density = spectral(sampled_weight, n), numbers(pdf, n).astype(float)
+    delta = (numbers(bs.sampled_type, n) & int(mi.BSDFFlags.Delta)) != 0
+    # a weight of zero means that sample failed, or that the BSDF is black there
+    counted = ~delta & (weight != 0).any(axis=1) & np.isfinite(numbers(bs.wo.z, n))
     ratio = np.full(n, np.inf)
     np.divide(spectral(value, n).mean(axis=1), density, out=ratio, where=density > 0)
     return Batch(
-        numbers(index, n),
+        np.where(counted, index, 2 * subdivision.n_patches),
         np.where(np.isfinite(weight), weight, 0.0),
         # of the type of the maxima, or to find those takes twenty times as long
         np.nan_to_num(numbers(bs.pdf, n).astype(float), nan=0.0, posinf=np.inf),
-        numbers(delta, n),
+        delta,
         ratio,
     )
 
@@ -264,8 +262,8 @@ def patch_of(
     subdivision: RingsAndSectors, condition: Condition, wo: mi.Vector3f
 ) -> mi.UInt32:
     """Index of the patch of each direction, as of :class:`PatchTotals`."""
-    m = subdivision.n_patches
-    face = 1.0 if condition.side == "front" else -1.0
+    m, wo = subdivision.n_patches, _with_azimuth(wo, dr.width(wo))
+    face = dr.opaque(mi.Float, 1 if condition.side == "front" else -1)
     index = subdivision.patch_index(DRJIT, wo.x, wo.y, dr.abs(wo.z))
     index = dr.clip(index, 0, m - 1) + dr.select(face * wo.z < 0, float(m), 0.0)
     return mi.UInt32(index)

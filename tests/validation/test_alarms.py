@@ -30,6 +30,7 @@ MORE = (
     *("rough glass 0.01", "rough glass 1", "rough glass of index 1.0001"),
     *("rough glass of index 3", "glass of index 1.01", "glass of index 3"),
     *("bitmap", "checkerboard of roughness", "principled metal"),
+    *("bump map", "mask"),  # of `unusual_right` there are more of them
 )
 
 

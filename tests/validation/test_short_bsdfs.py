@@ -47,6 +47,7 @@ def test_page_begins_with_the_direction_that_fails(tmp_path):
     """Of a sector of incidence, where no other map is; what holds is folded."""
     short_bsdfs.register()
     verdict = judged("pdf_in_a_sector", "quick")
+    verdict = replace(verdict, maps=verdict.maps[:2])
     save_report(verdict, tmp_path / "r.html")
     text = (tmp_path / "r.html").read_text()
     first, *others = (str(maps.condition) for maps in verdict.maps)

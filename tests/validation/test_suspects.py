@@ -97,13 +97,12 @@ def test_a_density_that_is_cut_off_is_right():
     assert verdict["sampling"].status == "holds"
 
 
-# Broken ones that are lit from above alone.
+# Broken ones that are lit from above alone, one of each kind of mistake.
 ONE_SIDED = (
-    *("eval_without_cosine", "eval_with_two_cosines", "eval_without_pi"),
-    *("eval_gains_one_percent", "eval_nan_at_grazing", "weight_without_division"),
-    *("weight_with_cosine", "weight_five_percent_less", "sample_not_unit"),
-    *("pdf_half_a_percent_off", "phi_with_wrong_sign", "density_without_jacobian"),
-    *("value_without_cosine", "gradient_detached"),
+    *("eval_without_cosine", "eval_gains_one_percent", "eval_nan_at_grazing"),
+    *("weight_with_cosine", "sample_not_unit", "pdf_half_a_percent_off"),
+    *("phi_with_wrong_sign", "density_without_jacobian", "value_without_cosine"),
+    "gradient_detached",
 )
 
 

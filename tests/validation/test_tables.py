@@ -19,15 +19,18 @@ from gonio_mi.validation.samples import samples_of
 
 @pytest.fixture(scope="module")
 def table(tmp_path_factory):
-    """Record of rough glass: a `goniometric` of reflection and transmission."""
+    """Record of a rough metal: a `goniometric` of reflection.
+
+    Of transmission, another mode and components, tests of `goniometric` ask the same.
+    """
     mi.set_variant("llvm_ad_mono")
     record = measure(
-        {"type": "roughdielectric", "alpha": 0.3},
+        {"type": "roughconductor", "alpha": 0.3},
         theta_i=(0, 30, 60),
         collector="angle:9x12",
         rays=2**16,
     )
-    path = tmp_path_factory.mktemp("table") / "glass.npz"
+    path = tmp_path_factory.mktemp("table") / "metal.npz"
     record.save(path)
     return {"type": "goniometric", "filename": str(path)}
 

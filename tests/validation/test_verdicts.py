@@ -282,6 +282,7 @@ def test_colours():
 @pytest.mark.usefixtures("plugins")
 def test_report_is_one_file(tmp_path):
     verdict = judged("phi_with_wrong_sign", "quick")
+    verdict = replace(verdict, maps=verdict.maps[:2])  # a second each
     path = tmp_path / "report.html"
     save_report(verdict, path)
     text = path.read_text()
@@ -292,7 +293,7 @@ def test_report_is_one_file(tmp_path):
     assert text.index('class="fails"') < text.index('class="holds"')
     path.unlink()
     wrong = judged("weight_with_cosine", "quick")
-    save_report(wrong, path)
+    save_report(replace(wrong, maps=()), path)
     # colours reach as far as scores do; twin: 6 where nothing is wrong
     drawn = {axes.get_title(): axes for axes in draw(wrong.maps[-1]).axes}
     ends = [

@@ -119,8 +119,14 @@ def lattice() -> Floats:
     return direction(np.arccos(z), np.arange(N_LATTICE) * np.pi * (5**0.5 - 1))
 
 
-def check_lattice(evidence: Evidence, probe: Probe) -> None:
-    """Check the same on a lattice of directions on the sphere, sampled or not."""
+def check_lattice(evidence: Evidence, probe: Probe) -> tuple[Floats, Floats]:
+    """Check the same on a lattice of directions on the sphere, sampled or not.
+
+    Returns
+    -------
+    value, density : ndarray
+        Answers of ``eval`` and ``pdf`` there.
+    """
     wo = lattice()
     value, density = probe.values(wo), probe.densities(wo)
     for function, answer in ((EVAL, value), (PDF, density)):
@@ -136,6 +142,7 @@ def check_lattice(evidence: Evidence, probe: Probe) -> None:
             text = f"{share:.3g} of all directions, such as theta_o {place}"
             how = {"size": share, "off": share, "effect": INTERFACE if black else ""}
             evidence.breach(ANSWERS, guess, probe.condition, found=text, **how)
+    return value, density
 
 
 def check_frames(evidence: Evidence) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 
+from ...array_types import Floats
 from ...single_precision import BSDF_ROUNDING
 from ..evidence import BIAS, INTERFACE, SAME, Evidence, Question
 from ..kinds import Kind
@@ -58,14 +59,19 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
         evidence.breach(EVAL_PDF_SAMPLE, guess, samples, wrong, **how)
 
 
-def check_lattice(evidence: Evidence, probe: Probe) -> None:
-    """Check ``eval_pdf`` roughly on the whole sphere, where samples may not go."""
+def check_lattice(
+    evidence: Evidence, probe: Probe, values: Floats, densities: Floats
+) -> None:
+    """Check ``eval_pdf`` roughly on the whole sphere, where samples may not go.
+
+    There `values` and `densities` are the answers of the separate functions.
+    """
     wo = lattice()
     n = len(wo)
     value, pdf = probe.eval_pdf(vectors(wo))
     for alone, joint, due in (
-        ("eval", spectral(value, n), probe.values(wo)),
-        ("pdf", numbers(pdf, n)[:, None], probe.densities(wo)[:, None]),
+        ("eval", spectral(value, n), values),
+        ("pdf", numbers(pdf, n)[:, None], densities[:, None]),
     ):
         off, size = np.abs(joint - due), np.maximum(np.abs(joint), np.abs(due))
         limit = np.maximum(MAX_RELATIVE * size, MAX_OF_PEAK * size.max())

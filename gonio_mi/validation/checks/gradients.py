@@ -29,7 +29,14 @@ from ..probe import (
     vectors,
 )
 from ..samples import Samples
-from .parameters import GOLDEN, PARAMETERS, Parameters, may_update_often, turns
+from .parameters import (
+    GOLDEN,
+    PARAMETERS,
+    Parameters,
+    may_update_often,
+    opaque,
+    turns,
+)
 
 # Relative steps of central differences, whose error falls with their square: where the
 # three do not agree, there is nothing to compare with.
@@ -98,13 +105,9 @@ class _Line:
         """Values at a step, which depend on a variable if there is one."""
         found = {}
         for name, kind in self.kinds.items():
-            value = kind(np.float32(self.values[name] + step * self.slopes[name]))
-            # one by one: literals, or all at once, would be a kernel of their own
-            dr.make_opaque(value)
+            value = opaque(kind, self.values[name] + step * self.slopes[name])
             if along is not None:
-                slope = kind(np.float32(self.slopes[name]))
-                dr.make_opaque(slope)
-                value += along * slope
+                value += along * opaque(kind, self.slopes[name])
                 dr.make_opaque(value)
             found[name] = value
         return found

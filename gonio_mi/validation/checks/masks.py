@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -44,8 +45,8 @@ def check_bsdf(evidence: Evidence) -> None:
     condition, n = Condition(40.0, 25.0), 2**10
     samples = samples_of(evidence.bsdf, condition, n, (evidence.seed, 41))
     probe = Probe(evidence.bsdf, condition)
-    active = np.arange(n) % 2 == 0
-    mask = mi.Bool(active)
+    mask = dr.arange(mi.UInt32, n) % 2 == 0
+    active = mask.numpy()
     wo = vectors(samples.wo)
     joint = probe.eval_pdf(wo, mask)
     _, weight = probe.sample(*samples.random, mask)

@@ -11,6 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from ...array_types import Floats
+from ...mitsuba_compat import floats
 from ...transport.bsdf_trial import PluginFault
 from ..conditions import Condition, Effort, Sweep
 from ..evidence import BIAS, BREAKS, MAX_P, SAME, Breach, Evidence, Question
@@ -296,9 +297,10 @@ def _other_value(value: Any, step: float | None = None) -> Any:
 
 def opaque(kind: type, x: Floats) -> Any:
     """A value of a parameter, in memory."""
-    value = kind(np.float32(x))
-    dr.make_opaque(value)
-    return value
+    if dr.is_tensor_v(kind):
+        return kind(floats(np.ravel(x)), np.shape(x))
+    rows = np.reshape(x, (1 if kind is mi.Float else dr.size_v(kind), -1))
+    return kind(*map(floats, rows))
 
 
 def turns(x: Floats) -> Floats:
