@@ -7,7 +7,7 @@ from gonio_mi.analysis.fitting.least_squares import FittedModel, Search
 LESS = {
     "exchange.exports.measured_export.GRID": 32,
     "exchange.exports.measured_export.READ_BACK_RAYS": 2**14,
-    "exchange.exports.radiance_export.MAX_READ_BACK": 2,
+    "exchange.exports.radiance_export.read_back": lambda *_: [],
     "exchange.exports.radiance_export.TREE_SIZES": {3: 16, 4: 8},
     "exchange.exports.radiance_export.POINTS_OUT": 2,
     "exchange.exports.radiance_export.POINTS_IN": 1,
@@ -18,7 +18,10 @@ LESS = {
 
 @pytest.fixture
 def less(monkeypatch):
-    """Fewer points, directions that confirm a material, and steps of a fit."""
+    """Fewer points, directions that confirm a material, and steps of a fit.
+
+    Radiance's files are not read back, as in other tests.
+    """
     starts = FittedModel.starts
     monkeypatch.setattr(FittedModel, "starts", lambda model: starts(model)[:1])
     monkeypatch.setattr(Search.minimum, "__defaults__", (1e-3, 1e-3, 3))

@@ -6,11 +6,9 @@ says.
 
 import importlib.util
 import json
-import os
 import re
 import runpy
 import shlex
-import subprocess
 import sys
 import textwrap
 from pathlib import Path
@@ -105,10 +103,10 @@ def fast(words):
             rest[at] = f"{limit(float(rest[at]), bound):g}"
     if command == "measure" and not {"--rays", *PRECISE} & {*rest}:
         rest += ["--rays", f"{RAYS:g}"]
-    if command == "measure" and "--tolerance" in rest:
-        rest += ["--theta-max", "50", "--collector", "angle:10x40"]
-    elif command == "measure" and "--points" not in rest:
-        rest += ["--collector", "projected:12x12"]
+    if "--tolerance" in rest:
+        rest += ["--theta-max", "50"]
+    if command == "measure" and "--points" not in rest:
+        rest += ["--collector", "angle:10x40"]  # fine enough for materials
     of_matrices = command == "bsdf" or any(word.endswith(".xml") for word in rest)
     if command in ("bsdf", "export") and of_matrices and "--basis" not in rest:
         rest += ["--basis", "klems-quarter"]
@@ -148,15 +146,11 @@ def run_command(words, folder):
 def run_python(text, folder, known):
     """Run one block, which knows what those before it on the page have defined.
 
-    Workers of a campaign are started from a file of its own, one instead of two.
+    Workers of a cluster are threads of this process.
     """
     path = folder / "block.py"
-    path.write_text(text.replace("n_workers=2", "n_workers=1"))
-    if "__main__" not in text:
-        known |= runpy.run_path(str(path), known)
-        return
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    subprocess.run([sys.executable, str(path)], check=True, env=environment)
+    path.write_text(text.replace("n_workers=2", "n_workers=1, processes=False"))
+    known |= runpy.run_path(str(path), known, "__main__")
 
 
 @pytest.mark.usefixtures("less")

@@ -7,6 +7,7 @@ counts, and the plugin `goniometric` itself, sampled.
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -481,10 +482,11 @@ def test_a_table_that_would_not_fit_ends_the_refinement(monkeypatch):
         whole._confirmed()
 
 
+@pytest.mark.usefixtures("few_unseen")
 def test_a_campaign_ends_with_the_table_that_fits(monkeypatch, tmp_path):
     """With a warning, and what was measured; twin: no table of its first directions."""
     brushed = {"type": "roughconductor", "alpha_u": 0.3, "alpha_v": 0.6}
-    how = {"tolerance": 0.03, "theta_max": 70, "collector": "angle:12x40"}
+    how = {"tolerance": 0.06, "theta_max": 70, "collector": "angle:12x40"}
     how["folder"] = tmp_path  # what is measured once
 
     def material():
@@ -732,7 +734,9 @@ def test_mirrors_are_told_with_one_finer_collector(looked, monkeypatch):
 
 
 @pytest.mark.parametrize("theta_max", [20, 80])
-def test_a_mirror_peak_beside_scattered_light_is_told_at_once(looked, theta_max):
+def test_a_mirror_peak_beside_scattered_light_is_told_at_once(
+    looked, theta_max, monkeypatch
+):
     """Of the upper face of milk glass: as much as Fresnel's equations reflect.
 
     Twin: a peak below twice the tolerance is no reason to refuse.
@@ -743,15 +747,13 @@ def test_a_mirror_peak_beside_scattered_light_is_told_at_once(looked, theta_max)
     s = (np.sin(theta - inside) / np.sin(theta + inside)) ** 2
     p = (np.tan(theta - inside) / np.tan(theta + inside)) ** 2
     reflected = (s + p) / 2
-    low, high = (
-        MeasuredDirections("glass", glass, n * reflected, ExecutionContext(), {})
-        for n in (0.4, 0.6)
-    )
-    for known in (low, high):
-        del known.estimators[0]  # of integrals, which are refused
-    check_peaks(high, theta_max)
+    known = MeasuredDirections("glass", glass, 0.6 * reflected, ExecutionContext(), {})
+    del known.estimators[0]  # of integrals, which are refused
+    monkeypatch.setattr(known, "probe", cache(known.probe))
+    check_peaks(known, theta_max)
+    known.tolerance = 0.4 * reflected
     with pytest.raises(gonio.SpecimenError, match=r"^0\.\d+ of the flux") as e:
-        check_peaks(low, theta_max)
+        check_peaks(known, theta_max)
     share = float(str(e.value).split()[0])
     # what is scattered into the patch is below a thousandth: 1 / 57600 of each
     # hemisphere, thrice at most; statistics as of independent rays, or rounding to two

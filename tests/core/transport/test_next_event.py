@@ -52,15 +52,16 @@ def field(bsdf, **settings):
     return heightfield(bsdf=bsdf, alpha=0.5, resolution=32, **settings)
 
 
+CLOSED = {"period": "box", "hemispheres": "both"}
 # Specimen, and settings of the measurement.
 CASES = {
-    "rough mirror": lambda: (field(ROUGH_MIRROR), {"period": "box"}),
-    "grooves": lambda: (grooves(30, 1, bsdf=GREY), {"period": "box"}),
-    "spheres": lambda: (spheres_on_a_plane(), {"period": "2,2"}),
+    "rough mirror": lambda: (field(ROUGH_MIRROR), CLOSED),
+    "grooves": lambda: (grooves(30, 1, bsdf=GREY), CLOSED),
+    "spheres": lambda: (spheres_on_a_plane(), CLOSED | {"period": "2,2"}),
     "edges": lambda: (field(GREY), {"theta_i": 70}),
     "smooth normals": lambda: (
         field(GREY, face_normals=False),
-        {"period": "box", "theta_i": 60},
+        CLOSED | {"theta_i": 60},
     ),
     "delta and smooth": lambda: (
         field(both_sided({"type": "plastic", "diffuse_reflectance": 0.8})),
@@ -162,16 +163,9 @@ def test_delta_specimens_are_those_of_weighted():
 def test_nothing_is_deposited_below_a_closed_surface(name, theta_i):
     """Twin: light passes between balls, and deposits say so."""
     specimen, settings = CASES["spheres" if name == "balls" else name]()
-    record = gonio.measure(
-        specimen["sphere"] if name == "balls" else specimen,
-        theta_i,
-        period=settings["period"],
-        estimator="next_event",
-        hemispheres="both",
-        collector="projected:4x6",
-        rays=2**16,
-        points=4,
-    )
+    settings |= {"theta_i": theta_i, "collector": GRID, "rays": RAYS, "points": 2}
+    specimen = specimen["sphere"] if name == "balls" else specimen
+    record = gonio.measure(specimen, estimator="next_event", **settings)
     assert record.counts[0].any()
     assert record.counts[1].any() == (name == "balls")
 

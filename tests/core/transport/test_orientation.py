@@ -1,5 +1,7 @@
 """Shapes that are mirrored or face away: Mitsuba's two normals need not agree there."""
 
+from itertools import product
+
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -51,13 +53,12 @@ def measured(specimen, **settings):
 
 
 @pytest.mark.parametrize(
-    ("mirrored", "flipped", "twosided"),
+    ("kind", "mirrored", "flipped", "twosided"),
     [
-        *((False, False, False), (False, True, False)),
-        *((True, False, False), (True, True, False), (False, True, True)),
+        *product((*FLAT_ON_TOP, "sphere", "cylinder"), *[(False, True)] * 2, [False]),
+        *(("rectangle", False, True, True), ("sphere", False, True, True)),
     ],
 )
-@pytest.mark.parametrize("kind", [*FLAT_ON_TOP, "sphere", "cylinder"])
 def test_black_is_what_mitsuba_says(kind, mirrored, flipped, twosided):
     """And a flat top that is lit sends every ray back."""
     bsdf = both_sided(DIFFUSE) if twosided else DIFFUSE

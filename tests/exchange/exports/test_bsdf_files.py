@@ -305,8 +305,14 @@ def test_radiance_reads_the_blind(blind):
 # ------------------------------------------------------------------- other ways to ask
 
 
-def test_two_records_make_one_file(blind, tmp_path, monkeypatch):
-    monkeypatch.setattr(radiance_export, "read_back", lambda *_: [])  # see below
+@pytest.fixture
+def unread(monkeypatch):
+    """Files are not read back: the one of the command with a product is."""
+    monkeypatch.setattr(radiance_export, "read_back", lambda *_: [])
+
+
+@pytest.mark.usefixtures("unread")
+def test_two_records_make_one_file(blind, tmp_path):
     path, records = blind
     files = []
     for side, record in records.items():
@@ -378,6 +384,7 @@ def test_command_writes_the_product_and_solar_light(tmp_path, capsys):
     assert np.allclose(blocks["Solar", name], half, atol=2 * DIGITS)
 
 
+@pytest.mark.usefixtures("unread")
 def test_command_prints_properties_of_a_pane(tmp_path, capsys):
     """As JSON, of mean T and R over the patches that touch the normal, and of all.
 
@@ -423,6 +430,7 @@ def test_the_cells_that_touch_the_normal_are_averaged(tmp_path):
     assert found == pytest.approx(record.dht[order].mean(), rel=1e-12)
 
 
+@pytest.mark.usefixtures("unread")
 def test_a_mesh_has_a_bsdf_for_sunlight(tmp_path, capsys):
     """An upright plate: matrices in the ratio of both reflectances, exactly."""
     path = tmp_path / "plate.obj"

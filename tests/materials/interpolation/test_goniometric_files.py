@@ -25,7 +25,7 @@ from gonio_mi.collector.klems import Klems
 from gonio_mi.exchange.exports import exporting, measured_export, radiance_export
 from gonio_mi.exchange.formats import radiance
 from gonio_mi.exchange.formats.reading import load_material
-from gonio_mi.materials.interpolation import lobes
+from gonio_mi.materials.interpolation import interpolated_bsdf, lobes
 
 # Not in their order.
 CHANNELS = ("500nm", "400nm", "650nm")
@@ -40,7 +40,8 @@ def material(path, **parameters):
 
 @pytest.fixture
 def coarse(monkeypatch):
-    """Average over fewer points of each Klems patch."""
+    """Average over fewer points of each Klems patch, and predict one record."""
+    monkeypatch.setattr(interpolated_bsdf, "MAX_TRIALS", 1)
     monkeypatch.setattr(radiance_export, "POINTS_OUT", 2)
     monkeypatch.setattr(radiance_export, "POINTS_IN", 1)
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import synthetic
 from budget import agree, count_verdict, disagree
-from sampled_material import check_samples
 from synthetic import facet_lobes, facets_through
 
 import gonio_mi as gonio
@@ -165,14 +164,6 @@ def test_predictions_need_only_what_lies_around():
         truth = whole.flux(*one)
         assert np.allclose(around.flux(*one), truth, rtol=DOUBLE, atol=0)
         assert np.abs(elsewhere.flux(*one) - truth).sum() > 0.1 * truth.sum()
-
-
-def test_samples_follow_the_values(tmp_path):
-    """Also beyond the last angle, where light stays; twin: of another direction."""
-    patches = gonio.subdivision("projected:24x36")
-    record = record_of(patches, ANGLES, *facets_both(patches, ANGLES))
-    assert len(half_vector_segments(MeasuredLobes(record))) == 2
-    check_samples(record, 75, 40, tmp_path)
 
 
 def shares(face, wi, patches):
