@@ -25,6 +25,7 @@ import traceback
 import warnings
 from argparse import Namespace
 from collections.abc import Sequence
+from functools import cache, partial
 from typing import Any, NoReturn
 
 from . import start_up
@@ -65,7 +66,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     _open_standard_streams()
     with warnings.catch_warnings():
         warnings.simplefilter("always", RuntimeWarning)
-        warnings.showwarning = _show_warning
+        # a campaign, which loads its specimen many times, warns once
+        warnings.showwarning = partial(_show_warning, cache(say))
         options = None
         try:
             options = parser(start_up.command_of(arguments)).parse_args(arguments)
@@ -79,8 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 # the reader of our output has left; leave nothing to flush at exit
                 os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
                 return USER_ERROR
-            debug = "--debug" in arguments
-            if debug:
+            if debug := "--debug" in arguments:
                 traceback.print_exception(error)
             plugins = getattr(options, "plugin", ())
             place = _place(error, plugins)
@@ -182,8 +183,8 @@ def _without_command(_: Namespace) -> NoReturn:
     )
 
 
-def _show_warning(message: object, *_: object, **__: object) -> None:
-    say(f"warning: {' '.join(str(message).split())}")
+def _show_warning(tell: Any, message: object, *_: object, **__: object) -> None:
+    tell(f"warning: {' '.join(str(message).split())}")
 
 
 def _say_of_bug(error: BaseException, arguments: Sequence[str]) -> None:

@@ -193,16 +193,16 @@ class Topography:
             limits = np.maximum(MAX_ALPHA_CHANGE * both, rounding)
             if (abs(np.array([u, v]) - both) > limits).any():
                 found.append(
-                    f"the facets of {self.source} are smaller than light, {least:.3g} "
-                    f"{self.unit} at a wavelength of {shown}: this is geometric "
+                    f"the facets of {self.source} are smaller than the wavelength, "
+                    f"{least:.3g} {self.unit} beside {shown}: this is geometric "
                     f"optics, which sees alpha {s.alpha_u:.3g} x {s.alpha_v:.3g}; over "
                     f"one wavelength it is {u:.3g} x {v:.3g}"
                 )
         coherent = math.exp(-((4 * math.pi * s.rms_height / wavelength) ** 2))
         if coherent > MAX_COHERENT:
             found.append(
-                f"the rms height of {self.source} is small against light: at normal "
-                f"incidence and a wavelength of {shown} waves would reflect "
+                f"the rms height of {self.source} is small beside the wavelength: at "
+                f"normal incidence and a wavelength of {shown} waves would reflect "
                 f"{100 * coherent:.3g} % as a mirror does, which geometric optics "
                 "leaves out"
             )

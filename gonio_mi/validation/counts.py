@@ -176,13 +176,17 @@ def _side_left_out(counted: _Counted) -> Guess | None:
     never = due.reshape(2, -1)[drawn.reshape(2, -1).sum(axis=1) == 0].sum()
     if never < 1e-3:
         return None
-    bsdf = counted.evidence.bsdf
-    samples = samples_of(bsdf, maps.condition, N_REDRAWN, (0, 72), False)
-    complete = samples.given.mean() > 1 - MAX_LOST
     where = {"mass": never, "place": maps.condition}
-    if complete and due.sum() - drawn.sum() > never / 2:
+    if _none_fail(counted) and due.sum() - drawn.sum() > never / 2:
         return Counts.NEVER_ON_A_SIDE(PDF, **where)
     return Counts.SIDE_LEFT_OUT(SAMPLE, **where)
+
+
+def _none_fail(counted: _Counted) -> bool:
+    """Whether every sample has a direction: their density integrates to 1."""
+    bsdf, condition = counted.evidence.bsdf, counted.maps.condition
+    samples = samples_of(bsdf, condition, N_REDRAWN, (0, 72), False)
+    return bool(samples.given.mean() > 1 - MAX_LOST)
 
 
 def _without_direction(counted: _Counted) -> Guess | None:
@@ -195,8 +199,12 @@ def _without_direction(counted: _Counted) -> Guess | None:
 
 
 def _unnormalised(counted: _Counted) -> Guess | None:
-    """A density with a constant factor, or of more than all."""
-    if counted.maps.pdf.sum() > 1.001 or _is_proportional(counted.maps):
+    """A density of more than all, or with a constant factor.
+
+    Where samples fail and weights are wrong, `sample` may have that factor as well.
+    """
+    tells = not counted.weights_fail or _none_fail(counted)
+    if counted.maps.pdf.sum() > 1.001 or (tells and _is_proportional(counted.maps)):
         return Counts.MASS(PDF, sums=counted.sums)
     return None
 
@@ -208,7 +216,9 @@ def _of_right_weights(counted: _Counted) -> Guess | None:
 
 
 def _rejected(counted: _Counted) -> Guess | None:
-    """Samples that fail though all is well with their directions."""
+    """Samples that fail though all is well with their directions, which then lack."""
+    if counted.drawn.sum() > counted.maps.pdf.sum():
+        return None
     bsdf, condition = counted.evidence.bsdf, counted.maps.condition
     samples = samples_of(bsdf, condition, N_REDRAWN, (0, 72), False)
     length = np.linalg.norm(samples.wo, axis=1)

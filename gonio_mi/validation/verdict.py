@@ -117,7 +117,8 @@ class Property:
         known = self.share is not None and self.name != "ends"
         if not (self.integrators and known) or self.of_volumes:
             return self.integrators
-        return f"{self.integrators}; {self.share:.2g} of the flux from a lit surface"
+        size = f"{self.share:.2g} of the flux from a lit surface is wrong"
+        return f"{self.integrators}; {size}"
 
     @property
     def consequence(self) -> str | None:

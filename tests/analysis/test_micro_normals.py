@@ -220,7 +220,7 @@ def test_command(tmp_path, capfd):
     assert "64 x 64, 0.25 x 0.25 um apart" in said.out
     assert "slopes    rms" in said.out
     assert "as beckmann" in said.out
-    assert "are smaller than light, 0.25 um" in said.err
+    assert "are smaller than the wavelength, 0.25 um" in said.err
     assert (tmp_path / "a.png").stat().st_size > 10_000
 
 

@@ -9,8 +9,10 @@ import shlex
 import signal
 import subprocess
 import sys
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -1056,6 +1058,22 @@ def test_plan_prints_the_papers_numbers(run):
     plan = json.loads(out)
     assert plan["chebyshev"] == 105_967
     assert plan["paper"] == 900 * 105_967
+
+
+def test_a_warning_is_told_once_by_each_command(capsys, monkeypatch):
+    """A campaign loads its specimen, and warns of it, for each direction."""
+
+    def campaign(_):
+        for text in ("coarse", "small", "coarse"):
+            warnings.warn(text, RuntimeWarning, stacklevel=1)
+        return 0
+
+    parsed = SimpleNamespace(parse_args=lambda _: SimpleNamespace(run=campaign))
+    monkeypatch.setattr(cli, "parser", lambda _: parsed)
+    for _ in range(2):
+        assert cli.main(["measure"]) == 0
+        told = capsys.readouterr().err.splitlines()
+        assert told == [f"gonio-mi: warning: {x}" for x in ("coarse", "small")]
 
 
 def test_plan_from_a_pilot(run, tmp_path):

@@ -64,6 +64,7 @@ MISTAKES = {
     # discrete lobes beside others
     "discrete_weight_too_high": "sample",
     "pdf_without_share_of_mirror": "pdf",
+    "number_of_the_mirror": "sample",
     "null_says_opacity": "eval_null_transmission",
     "eval_forgets_opacity": "eval",
     "facets_lit_twice": "sample or flags",
@@ -691,6 +692,38 @@ def register():
         def pdf(self, ctx, si, wo, active=True):
             on = active & self.above(si, wo) & self.enabled(ctx)[0]
             return dr.select(on, dr.inv_pi * cosine(wo), 0)
+
+    class NumberOfTheMirror(Clear):
+        """Metal under a coat is too bright: it knows no lobes alone, which would tell.
+
+        Its microfacets, as others, lose what they send below the horizon.
+        """
+
+        choice = 0.04
+
+        def load(self, props):
+            metal = {"type": "roughconductor", "material": "none", "alpha": 0.5}
+            self.metal = mi.load_dict(metal | {"distribution": "ggx"})
+
+        def enabled(self, ctx):
+            return [True, True]
+
+        def value(self, ctx, si, wo):
+            return self.metal.eval(mi.BSDFContext(), si, wo) * 0.6
+
+        def density(self, ctx, si, wo):
+            return self.lost(ctx, si) * self.metal.pdf(mi.BSDFContext(), si, wo)
+
+        def first_direction(self, ctx, si, sample2):
+            return self.metal.sample(mi.BSDFContext(), si, 0, sample2)[0].wo
+
+        def weight(self, ctx, si, bs):
+            mirror = super().weight(ctx, si, bs)
+            own = self.value(ctx, si, bs.wo) / bs.pdf
+            return dr.select(self.of_mirror, mirror, own)
+
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            return super().sample(ctx, si, sample2.x, sample2, active)
 
     class Opacity(Clear):
         """Right: 0.3 passes straight on, the rest meets a Lambertian."""

@@ -136,8 +136,8 @@ def in_words(every: Sequence[Loss]) -> list[str]:
         line += f"; total off by {error:.2g}"
         if error > ROUNDING and len(some) > 1:
             line += (
-                f" at {_place(off)}, the most at {len(some)} of the record's incident "
-                "directions"
+                f" at {_place(off)}, the most of {len(some)} incident directions "
+                "of the record"
             )
         if left_out:
             line += f"; {left_out} faint directions left out"

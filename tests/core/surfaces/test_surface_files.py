@@ -248,7 +248,7 @@ def test_waves_are_warned_of():
     rough = np.tile(np.sin(2 * np.pi * x / 8), (64, 1))
     at_light = HeightMap(rough * 0.2, "a", (0.1, 0.1), "um", True)
     said = topography(at_light).concerns()
-    assert any("smaller than light, 0.1 um" in one for one in said)
+    assert any("smaller than the wavelength, 0.1 um" in one for one in said)
     # waves of 6.4 um, and a plane, have the same slopes over 0.55 um as over 0.1 um
     x = np.arange(256)
     wave, plane = np.sin(2 * np.pi * x / 64), 0.02 * x
@@ -262,7 +262,7 @@ def test_waves_are_warned_of():
     # noise has not, however little larger than its facets the wavelength is
     noise = 0.5 * np.random.default_rng(2).standard_normal((64, 64))
     (one,) = topography(HeightMap(noise, "a", (0.5, 0.5), "um", True)).concerns()
-    assert "smaller than light, 0.5 um" in one
+    assert "smaller than the wavelength, 0.5 um" in one
     # waves leave exp(-(4 pi sigma / wavelength)^2) in the mirror's direction
     faint = HeightMap(rough * 0.02, "a", (1, 1), "um", True)
     share = 100 * np.exp(-((4 * np.pi * 0.02 / np.sqrt(2) / 0.55) ** 2))

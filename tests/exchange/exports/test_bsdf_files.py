@@ -151,7 +151,7 @@ def test_what_hardly_any_light_does_is_left_out_of_the_words():
         (line,) = in_words([bright, Loss(73, 0, "dht", light, 0, light, 1.0, 0)])
         assert line.startswith(f"front, transmitted: {told} of the flux")
         assert line.endswith("faint directions left out") == (light < 1e-3)
-        assert "total off by 0.02 at theta_i 0, phi_i 0, the most at 2 of the" in line
+        assert "total off by 0.02 at theta_i 0, phi_i 0, the most of 2 incident" in line
 
 
 def test_totals_are_off_by_no_more_than_is_said():
@@ -160,7 +160,7 @@ def test_totals_are_off_by_no_more_than_is_said():
         Loss(t, 0, "dht", 0.6, 0, 0.6 - e, 0, 0) for t, e in [(0, 0), (37, 0.1457)]
     ]
     (line,) = in_words(losses)
-    assert "total off by 0.15 at theta_i 37, phi_i 0, the most at 2 of the" in line
+    assert "total off by 0.15 at theta_i 37, phi_i 0, the most of 2 incident" in line
     assert in_words(losses[1:])[0].endswith("theta_i 37, phi_i 0; total off by 0.15")
 
 
