@@ -15,9 +15,8 @@ from ..array_types import Flags, Floats
 from ..single_precision import BSDF_ROUNDING
 from ..transport.bsdf_trial import PluginFault
 from .conditions import Condition
-from .kinds import Kind, MatrixKind
 from .maps import FourMaps
-from .mistakes import Function, Guess, Mistake
+from .mistakes import Function, Guess, Kind, MatrixKind, Mistake
 from .probe import Probe
 from .samples import Samples, beyond_rounding, means_differ, unequal
 

@@ -38,8 +38,8 @@ from .conditions import Condition, Effort, sides_of
 from .cosines import explain_reciprocity
 from .diagnosis import likely_mistake
 from .evidence import BIAS, MAX_P, NOISE, Evidence, Question
-from .kinds import Kind
 from .maps import four_maps, in_radiance_mode
+from .mistakes import Kind
 from .phase_functions import as_bsdf, examine_phase_function
 from .polarised import examine_polarised
 from .probe import Probe, number_parameters

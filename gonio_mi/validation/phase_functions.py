@@ -20,9 +20,8 @@ from .checks.sampling import SAMPLING
 from .checks.weights import WEIGHTS
 from .conditions import Condition, Effort, sides_of
 from .evidence import Evidence
-from .kinds import Kind
 from .maps import four_maps
-from .mistakes import EVAL, SAMPLE, Function, Mistake
+from .mistakes import EVAL, SAMPLE, Function, Kind, Mistake
 from .probe import Probe, numbers, vectors
 from .samples import Samples, beyond_rounding, samples_of, unequal
 

@@ -26,8 +26,8 @@ from ..instrument.specimen_text import with_real_indices
 from ..single_precision import BSDF_ROUNDING
 from ..transport.variants import unpolarised
 from .conditions import POSITION, TURN, WAVELENGTHS_NM, Condition, Sweep
-from .kinds import Kind, MatrixKind
 from .maps import FourMaps
+from .mistakes import Kind, MatrixKind
 from .probe import Probe
 from .verdict import Property, Verdict
 

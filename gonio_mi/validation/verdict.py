@@ -10,9 +10,8 @@ import numpy as np
 
 from .conditions import Condition
 from .evidence import BIAS, BREAKS, COST, EFFECTS, NOISE, Evidence, Question, Test
-from .kinds import Kind, MatrixKind
 from .maps import FourMaps
-from .mistakes import Guess
+from .mistakes import Guess, Kind, MatrixKind
 
 # Places of a failure that are kept.
 MAX_PLACES = 10

@@ -9,8 +9,7 @@ import numpy as np
 
 from ...array_types import Flags
 from ..evidence import BIAS, BREAKS, FROM_LIGHTS, Evidence, Question
-from ..kinds import Kind
-from ..mistakes import EVAL, SAMPLE, Guess, Mistake
+from ..mistakes import EVAL, SAMPLE, Guess, Kind, Mistake
 from ..samples import beyond_rounding, samples_of, unequal
 from .delta import Lobe
 from .reciprocity import BothWays, is_constant, ratio_text

@@ -15,8 +15,7 @@ from ...array_types import Flags, Floats, Numbers
 from ...collector.directions import direction
 from ..conditions import POSITION, TURN
 from ..evidence import ALL, BIAS, INTERFACE, MIN_RANDOM, NOISE, Evidence, Question
-from ..kinds import Kind
-from ..mistakes import EVAL, PDF, SAMPLE, Function, Guess, Mistake
+from ..mistakes import EVAL, PDF, SAMPLE, Function, Guess, Kind, Mistake
 from ..probe import Probe, numbers, spectral, vectors
 from ..samples import Samples, beyond_rounding, means_differ, unequal
 

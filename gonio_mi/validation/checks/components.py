@@ -9,8 +9,7 @@ import numpy as np
 
 from ...array_types import Flags, Floats
 from ..evidence import INTERFACE, SAME, Evidence, Question
-from ..kinds import Kind
-from ..mistakes import EVAL, PDF, SAMPLE, Guess, Mistake
+from ..mistakes import EVAL, PDF, SAMPLE, Guess, Kind, Mistake
 from ..probe import Probe, is_delta, numbers, spectral
 from ..samples import Samples, beyond_rounding, unequal
 from .answers import LOBES

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..conditions import FIELDS, Effort, Sweep
 from ..evidence import BIAS, MAX_P, Evidence
-from ..kinds import Kind
+from ..mistakes import Kind
 from ..probe import Probe, numbers, spectral
 from ..samples import Samples, beyond_rounding, samples_of, unequal
 from . import answers, cost, sampling

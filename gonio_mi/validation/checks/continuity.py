@@ -8,8 +8,7 @@ import numpy as np
 from ...collector.directions import direction
 from ..conditions import PHI, Condition
 from ..evidence import MODEL, Evidence, Question
-from ..kinds import Kind
-from ..mistakes import EVAL, PDF, Mistake
+from ..mistakes import EVAL, PDF, Kind, Mistake
 from ..probe import Probe, spectral, uniform, vectors
 from ..samples import ULPS, Samples
 

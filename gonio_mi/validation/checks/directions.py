@@ -10,8 +10,7 @@ import numpy as np
 from ...array_types import Flags
 from ...single_precision import BSDF_ROUNDING
 from ..evidence import BIAS, INTERFACE, NOISE, SAMPLED, Evidence, Question
-from ..kinds import Kind
-from ..mistakes import SAMPLE, Mistake
+from ..mistakes import SAMPLE, Kind, Mistake
 from ..samples import Samples, beyond_rounding, unequal
 from .reciprocity import MAX_OFF, BothWays, is_constant
 

@@ -15,8 +15,7 @@ from ...single_precision import BSDF_ROUNDING
 from ...transport.bsdf_trial import PluginFault
 from ..conditions import Condition
 from ..evidence import BIAS, INTERFACE, SAME, Evidence, Question
-from ..kinds import Kind
-from ..mistakes import EVAL, PDF, SAMPLE, Function, Mistake
+from ..mistakes import EVAL, PDF, SAMPLE, Function, Kind, Mistake
 from ..probe import (
     Probe,
     changed,

@@ -11,8 +11,7 @@ import numpy as np
 from ...array_types import Floats
 from ..conditions import Condition
 from ..evidence import BIAS, INTERFACE, SAME, Evidence, Question
-from ..kinds import Kind
-from ..mistakes import EVAL, FLAGS, SAMPLE, Mistake
+from ..mistakes import EVAL, FLAGS, SAMPLE, Kind, Mistake
 from ..probe import Probe
 from ..samples import Samples, beyond_rounding, samples_of, unequal
 from . import sampling, weights

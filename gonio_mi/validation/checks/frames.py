@@ -13,8 +13,7 @@ from ...array_types import Flags, Floats, Numbers
 from ...collector.stokes import plane_axis, reframed, turn
 from ..conditions import TURN
 from ..evidence import BIAS, POLARISING, SAME, Evidence, Question
-from ..kinds import MatrixKind
-from ..mistakes import EVAL, Mistake
+from ..mistakes import EVAL, MatrixKind, Mistake
 from ..mueller import Matrices, Reading, is_identity, off, per_light, readings
 from ..samples import beyond_rounding
 from .matrices import ROUNDING

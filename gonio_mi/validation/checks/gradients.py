@@ -16,8 +16,7 @@ from ...single_precision import BSDF_ROUNDING
 from ...transport.bsdf_trial import PluginFault
 from ..conditions import Effort
 from ..evidence import INTERFACE, Evidence
-from ..kinds import Kind
-from ..mistakes import EVAL, PDF, Function
+from ..mistakes import EVAL, PDF, Function, Kind
 from ..probe import (
     Probe,
     as_plugin_fault,

@@ -9,8 +9,7 @@ import numpy as np
 from ...array_types import Flags, Floats
 from ...collector.stokes import EXCHANGE, UPRIGHT
 from ..evidence import Evidence, Question
-from ..kinds import Kind, MatrixKind
-from ..mistakes import EVAL, PDF, SAMPLE, Function, Guess, Mistake
+from ..mistakes import EVAL, PDF, SAMPLE, Function, Guess, Kind, MatrixKind, Mistake
 from ..mueller import (
     Lobes,
     Matrices,

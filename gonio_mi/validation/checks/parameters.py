@@ -14,8 +14,7 @@ from ...array_types import Floats
 from ...transport.bsdf_trial import PluginFault
 from ..conditions import Condition, Effort, Sweep
 from ..evidence import BIAS, BREAKS, MAX_P, SAME, Breach, Evidence, Question
-from ..kinds import Kind
-from ..mistakes import EVAL, PDF, SAMPLE, Function, Mistake
+from ..mistakes import EVAL, PDF, SAMPLE, Function, Kind, Mistake
 from ..probe import (
     Probe,
     changed,

@@ -10,8 +10,7 @@ import numpy as np
 from ...array_types import Flags, Floats
 from ...single_precision import BSDF_ROUNDING
 from ..evidence import ALL, BIAS, BREAKS, FROM_LIGHTS, MODEL, Evidence, Question
-from ..kinds import Kind
-from ..mistakes import EVAL, SAMPLE, Guess, Mistake
+from ..mistakes import EVAL, SAMPLE, Guess, Kind, Mistake
 from ..probe import Probe, numbers, spectral
 from ..samples import Samples, beyond_rounding, samples_of, unequal
 from .delta import DIRECTION_ROUNDING, Lobe
