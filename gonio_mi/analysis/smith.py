@@ -3,8 +3,6 @@
 After Walter et al. 2007 (doi:10.2312/EGWR/EGSR07/195-206) and Heitz 2014 (JCGT 3(2)).
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import special
 

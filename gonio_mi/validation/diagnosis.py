@@ -6,8 +6,6 @@ them tells the mistake (:mod:`.factors`); where counts and ``pdf`` differ, these
 (:mod:`.counts`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import mitsuba as mi

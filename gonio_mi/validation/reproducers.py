@@ -6,8 +6,6 @@ are: in standard errors, or, where chance takes no part, in roundings. Counts an
 masks must be equal.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import textwrap

@@ -1,7 +1,5 @@
 """Observations of a fit: values of records and tables, and their uncertainties."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any, TypeAlias
 

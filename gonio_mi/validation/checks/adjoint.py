@@ -1,7 +1,5 @@
 """Radiance and importance mode are adjoint to each other."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import mitsuba as mi

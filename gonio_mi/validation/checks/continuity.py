@@ -1,7 +1,5 @@
 """Continuous at normal incidence, non-zero up to grazing angles."""
 
-from __future__ import annotations
-
 import mitsuba as mi
 import numpy as np
 

@@ -1,7 +1,5 @@
 """Discrete lobes have one direction, weight and probability."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import mitsuba as mi

@@ -1,7 +1,5 @@
 """Sampled directions are unit vectors on the side of their type."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import mitsuba as mi

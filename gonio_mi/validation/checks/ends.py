@@ -1,7 +1,5 @@
 """Finite at the ends: horizon, normal, random numbers, roughness."""
 
-from __future__ import annotations
-
 from collections.abc import Generator, Sequence
 from itertools import product
 from typing import Any

@@ -1,7 +1,5 @@
 """No more flux leaves than arrives."""
 
-from __future__ import annotations
-
 import mitsuba as mi
 import numpy as np
 from scipy import special

@@ -1,7 +1,5 @@
 """`eval_pdf` answers as `eval` and `pdf`."""
 
-from __future__ import annotations
-
 import mitsuba as mi
 import numpy as np
 

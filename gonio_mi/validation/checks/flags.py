@@ -1,7 +1,5 @@
 """Flags declare the observed behaviour."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Inactive rays carry no light, active ones the same as without a mask."""
 
-from __future__ import annotations
-
 import mitsuba as mi
 import numpy as np
 

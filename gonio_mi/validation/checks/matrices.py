@@ -1,7 +1,5 @@
 """All elements of matrices: functions agree, in both directions and transport modes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

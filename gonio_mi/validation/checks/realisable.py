@@ -1,7 +1,5 @@
 """Each matrix is that of a real surface (Cloude)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ...array_types import Flags, Floats

@@ -1,7 +1,5 @@
 """Weight times pdf is `eval`."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ...array_types import Flags, Floats

@@ -1,7 +1,5 @@
 """The mean of sampled weights is the integral of `eval`."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..conditions import Condition

@@ -1,7 +1,5 @@
 """Ask the Mitsuba of another environment, in a separate process, by scripts."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Two versions of Mitsuba compared: what differs, and by how many errors."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json
