@@ -162,9 +162,8 @@ def check_eval_pdf(
             fields = {"what": what, "mode": values.in_mode}
             guess = Matrix.OTHER_VALUES(Function.EVAL_PDF, **fields)
             how = {"off": None, "kind": kind, "about": "pdf"}
-            evidence.breach(
-                EVAL_PDF, guess, values, wrong, found=f"its {what} differ", **how
-            )
+            how["found"] = f"its {what} differ"
+            evidence.breach(EVAL_PDF, guess, values, wrong, **how)
 
 
 def check_reciprocity(

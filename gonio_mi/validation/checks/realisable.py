@@ -32,8 +32,6 @@ class Unreal(Mistake):
         changes sign on leaving"""
     V_ON_ARRIVAL = """{who} returns matrices that no surface has: the handedness of V
         changes sign on arrival"""
-    COLUMNS = """{who} returns matrices that no surface has: the last two columns change
-        sign"""
     POLARISES = """{who} returns matrices that no surface has: unpolarised light leaves
         with a degree of polarisation of {degree:.3g}"""
     ONE_POLARISATION = """{who} returns matrices that no surface has: light of one
@@ -48,7 +46,6 @@ class Unreal(Mistake):
 SIGNS = {
     Unreal.V_ON_LEAVING: (np.diag([1, 1, 1, -1]), np.eye(4)),
     Unreal.V_ON_ARRIVAL: (np.eye(4), np.diag([1, 1, 1, -1])),
-    Unreal.COLUMNS: (np.eye(4), np.diag([1, 1, -1, 1])),
 }
 
 
