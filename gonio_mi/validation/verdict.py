@@ -33,9 +33,6 @@ REPORTED = (
     *("effect", "share", "minor", "places"),
 )
 
-# Integrators that ask a phase function.
-VOLUMETRIC = "volpath, volpathmis, prbvolpath: all that follow rays through media"
-
 HOLDS, FAILS, UNDECIDED, LACKS = "holds", "fails", "undecided", "lacks"
 
 
@@ -346,8 +343,6 @@ def properties_of(
     for question in evidence.questions:
         one = _property(evidence, question, level, question.name in allow)
         reached = question.reached(one.effect)
-        if evidence.of_volumes:
-            reached = VOLUMETRIC if one.effect in (BIAS, BREAKS) else ""
         one = replace(one, question=str(question.text), needed=question.needed)
         found.append(replace(one, of_volumes=evidence.of_volumes, integrators=reached))
     return found
