@@ -173,10 +173,7 @@ def _cells(sweep: Sweep) -> list[Integers]:
     """Cell of each incident direction: by polar angle, azimuth, place and face."""
     theta, phi = sweep.angles
     other = N_CELLS * (sweep.wi[:, 2] < 0)
-    bands = [
-        (x / limit * N_CELLS).astype(int) + other
-        for x, limit in ((theta, 90.0), (phi, 360.0))
-    ]
+    bands = [(x * N_CELLS).astype(int) + other for x in (theta / 90.0, phi / 360.0)]
     return [*bands, sweep.places + other, other]
 
 
@@ -196,9 +193,7 @@ def _score_by_cell(cells: Integers, first: Terms, second: Terms) -> Floats:
     difference, variance, third = np.zeros((3, m))
     enough = np.ones(m, dtype=bool)
     for sign, x in ((1, first), (-1, second)):
-        total, squares, cubes, size = (
-            np.bincount(cells, power, minlength=m) for power in x
-        )
+        total, squares, cubes, size = (np.bincount(cells, y, minlength=m) for y in x)
         mean = total / n
         difference += sign * total
         variance += squares - n * mean**2
