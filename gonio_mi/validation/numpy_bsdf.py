@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import SettingTypeError
-from .probe import numbers, spectral
+from ..mitsuba_compat import floats
+from .probe import numbers, spectral, vectors
 
 
 def from_numpy(
@@ -58,9 +59,8 @@ def from_numpy(
     """
     for name, function in (("sample", sample), ("eval", eval), ("pdf", pdf)):
         if not callable(function):
-            raise SettingTypeError(
-                f"{name} must be a function, got {type(function).__name__}"
-            )
+            kind = type(function).__name__
+            raise SettingTypeError(f"{name} must be a function, got {kind}")
     flags = mi.BSDFFlags
     lobes = int(flags.GlossyReflection) | int(flags.FrontSide)
     lobes |= int(flags.GlossyTransmission) if transmits else 0
@@ -85,11 +85,10 @@ def from_numpy(
             u = np.column_stack([numbers(sample1, n), spectral(sample2, n)])
             wo, weight, density = sample(wi, u)
             bs = dr.zeros(mi.BSDFSample3f, n)
-            bs.wo = mi.Vector3f(np.ascontiguousarray(np.asarray(wo).T, np.float32))
-            bs.pdf, bs.eta = _number(density, n), 1.0
-            passes = np.asarray(wo)[:, 2] * wi[:, 2] < 0
-            kinds = (int(flags.GlossyReflection), int(flags.GlossyTransmission))
-            bs.sampled_type = mi.UInt32(np.where(passes, kinds[1], kinds[0]))
+            bs.wo, bs.pdf = vectors(np.asarray(wo)), floats(np.broadcast_to(density, n))
+            bs.eta = 1.0
+            kinds = mi.UInt32(+flags.GlossyTransmission), +flags.GlossyReflection
+            bs.sampled_type = dr.select(bs.wo.z * si.wi.z < 0, *kinds)
             return bs, _spectrum(weight, n) & self._on(ctx, active)
 
         def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> mi.Spectrum:
@@ -101,17 +100,13 @@ def from_numpy(
         def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> mi.Float:
             """Answer of the third function."""
             n = dr.width(si.wi, wo, active)
-            value = pdf(spectral(si.wi, n), spectral(wo, n))
-            return dr.select(self._on(ctx, active), _number(value, n), 0)
+            value = np.broadcast_to(pdf(spectral(si.wi, n), spectral(wo, n)), n)
+            return dr.select(self._on(ctx, active), floats(value), 0)
 
         def to_string(self) -> str:
             return "Adapter[]"
 
     return Adapter(mi.Properties("adapter"))
-
-
-def _number(values: ArrayLike, n: int) -> mi.Float:
-    return mi.Float(np.ascontiguousarray(np.broadcast_to(values, n), np.float32))
 
 
 def _spectrum(values: ArrayLike, n: int) -> mi.Spectrum:
