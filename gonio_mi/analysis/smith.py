@@ -100,7 +100,6 @@ def fitted_alphas(
     exponent = 4 if np.all(alphas > MIN_ALPHA) else 3
     for _ in range(N_ITERATIONS):
         steepness = alphas**-2.0 @ squares
-        alphas = np.maximum(
-            np.sqrt(exponent * squares @ (weight / (1 + steepness))), MIN_ALPHA
-        )
+        variances = exponent * squares @ (weight / (1 + steepness))
+        alphas = np.maximum(np.sqrt(variances), MIN_ALPHA)
     return alphas
