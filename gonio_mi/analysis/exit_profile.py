@@ -1,7 +1,5 @@
 """Exit profile: flux per area over the distance from the point of entry."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

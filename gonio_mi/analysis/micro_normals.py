@@ -75,10 +75,8 @@ def found_facets(specimen: Specimen, points: int, blocks: int, seed: int) -> Fac
     generator = np.random.default_rng(seed)
     areas = np.array([float(dr.sum(s.surface_area())[0]) for s in specimen.surfaces])
     numbers = np.maximum(1, np.round(points * areas / areas.sum()).astype(int))
-    parts = [
-        _points(shape, n, generator)
-        for shape, n in zip(specimen.surfaces, numbers.tolist())
-    ]
+    each = zip(specimen.surfaces, numbers.tolist())
+    parts = [_points(shape, n, generator) for shape, n in each]
     p, normal = (np.concatenate(columns) for columns in zip(*parts))
     # as rays find what they fall on from just above: only so are they known to the bit
     # by what tells a surface from itself
@@ -113,10 +111,8 @@ def _points(
     if triangles is None:
         found = shape.sample_position(0.0, mi.Point2f(generator.random((2, n))))
         # of a flat one there is one normal for all
-        p, normal = (
-            np.broadcast_to(np.array(v, dtype=float).T, (n, 3))
-            for v in (found.p, found.n)
-        )
+        both = (np.array(v, dtype=float).T for v in (found.p, found.n))
+        p, normal = (np.broadcast_to(v, (n, 3)) for v in both)
         return p, normal
     vertices, faces = triangles
     a, b, c = (vertices[faces[:, i]].astype(float) for i in range(3))
@@ -222,9 +218,8 @@ class MicroNormals:
         )
         if positive.size:
             # to one ring beyond the last one with facets
-            left.set_xlim(
-                0, edges[min(max(held[-1] + 2, MIN_DRAWN_RINGS), len(edges) - 1)]
-            )
+            last = min(max(held[-1] + 2, MIN_DRAWN_RINGS), len(edges) - 1)
+            left.set_xlim(0, edges[last])
             left.set_yscale("log")
             left.set_ylim(positive.min() / 3, positive.max() * 3)
         left.legend(frameon=False)

@@ -3,8 +3,6 @@
 After Walter et al. 2007 (doi:10.2312/EGWR/EGSR07/195-206) and Heitz 2014 (JCGT 3(2)).
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import special
 
@@ -102,7 +100,6 @@ def fitted_alphas(
     exponent = 4 if np.all(alphas > MIN_ALPHA) else 3
     for _ in range(N_ITERATIONS):
         steepness = alphas**-2.0 @ squares
-        alphas = np.maximum(
-            np.sqrt(exponent * squares @ (weight / (1 + steepness))), MIN_ALPHA
-        )
+        variances = exponent * squares @ (weight / (1 + steepness))
+        alphas = np.maximum(np.sqrt(variances), MIN_ALPHA)
     return alphas

@@ -119,20 +119,15 @@ class Condition:
     @property
     def _more(self) -> str:
         """All but the angles, as text."""
-        words = [""]
-        if self.side != "front":
-            words.append(self.side)
-        if self.component is not None:
-            words.append(f"component {self.component}")
-        if self.mode != "importance":
-            words.append(f"{self.mode} mode")
-        if self.differentials:
-            words.append("with differentials")
-        if self.nm != WAVELENGTHS_NM:
-            words.append(", ".join(f"{x:g}" for x in self.nm) + " nm")
-        if self.fields:
-            words.append(f"other si.{', si.'.join(self.fields)}")
-        return ", ".join(words)
+        words = (
+            (self.side != "front", self.side),
+            (self.component is not None, f"component {self.component}"),
+            (self.mode != "importance", f"{self.mode} mode"),
+            (self.differentials, "with differentials"),
+            (self.nm != WAVELENGTHS_NM, f"{', '.join(f'{x:g}' for x in self.nm)} nm"),
+            (self.fields, f"other si.{', si.'.join(self.fields)}"),
+        )
+        return "".join(f", {text}" for told, text in words if told)
 
 
 @dataclass(frozen=True)
@@ -212,9 +207,8 @@ class Sweep(Condition):
         more: dict[str, Any] = {"fields": self.fields, "spot": int(self.spots[k])}
         if mi.is_spectral:
             more["nm"] = tuple(self.wavelengths[k].round(1).tolist())
-        return Condition(
-            theta, phi, side, tuple(self.uvs[k].tolist()), self.mode, **more
-        )
+        u, v = self.uvs[k].tolist()
+        return Condition(theta, phi, side, (u, v), self.mode, **more)
 
     def __str__(self) -> str:
         return f"all angles of incidence{self._more}"
@@ -310,8 +304,8 @@ class Effort:
         Samples of each incident direction whose identities are checked.
     swept : int
         Of a sweep over all incident directions.
-    rings, sectors : int
-        Patches of the maps: see :attr:`patches`.
+    grid : (int, int)
+        Rings and sectors of the maps: see :attr:`patches`.
     angles : tuple of float
         Polar angles of incidence, in degrees, of the checked samples.
     map_angles : tuple of float
@@ -326,8 +320,7 @@ class Effort:
     samples: int
     checked: int
     swept: int
-    rings: int
-    sectors: int
+    grid: tuple[int, int]
     angles: tuple[float, ...]
     map_angles: tuple[float, ...]
     few_angles: tuple[float, ...]
@@ -336,12 +329,12 @@ class Effort:
     @property
     def patches(self) -> Borders:
         """Rings of equal projected solid angle, and thin ones at pole and horizon."""
-        sines = np.sqrt(np.arange(self.rings + 1) / self.rings)
-        theta = np.degrees(np.arcsin(sines))
+        rings, sectors = self.grid
+        theta = np.degrees(np.arcsin(np.sqrt(np.arange(rings + 1) / rings)))
         thin = np.array([1.0, 2.5, 5.0, 8.0])
         theta = np.sort(np.concatenate([theta, thin, 90 - thin]))
         edges = theta[np.diff(theta, prepend=-1.0) > 0.2]  # no slivers
-        return Borders(tuple(edges), tuple(np.linspace(0, 360, self.sectors + 1)))
+        return Borders(tuple(edges), tuple(np.linspace(0, 360, sectors + 1)))
 
     @staticmethod
     def named(name: str) -> Effort:
@@ -390,8 +383,7 @@ EFFORTS = {
         samples=2**17,
         checked=2**14,
         swept=2**15,
-        rings=12,
-        sectors=16,
+        grid=(12, 16),
         angles=(0, 40, 75, 89.9),
         map_angles=(35,),
         few_angles=(50,),
@@ -401,8 +393,7 @@ EFFORTS = {
         samples=2**20,
         checked=2**16,
         swept=2**18,
-        rings=20,
-        sectors=32,
+        grid=(20, 32),
         angles=(0, 30, 60, 80, 85, 89, 89.9),
         map_angles=(0, 30, 60, 80, 89),
         few_angles=(20, 70),
@@ -412,8 +403,7 @@ EFFORTS = {
         samples=2**23,
         checked=2**18,
         swept=2**20,
-        rings=30,
-        sectors=60,
+        grid=(30, 60),
         angles=(0, 0.5, 5, 15, 30, 45, 60, 70, 75, 80, 85, 87, 89, 89.5, 89.9),
         map_angles=(0, 15, 30, 45, 60, 75, 85, 89, 89.9),
         few_angles=(0, 20, 45, 70, 88),

@@ -192,10 +192,8 @@ def _stays_lit(bsdf: mi.BSDF, condition: Condition, power: int) -> bool:
 
 def _power(ways: Sequence[Samples]) -> int | None:
     """Power of the cosine that explains all samples, if the right one does not."""
-    if (
-        max((_unexplained(samples).mean() for samples in ways), default=0.0)
-        < MIN_CONTRADICTED
-    ):
+    contradicted = [_unexplained(samples).mean() for samples in ways]
+    if max(contradicted, default=0.0) < MIN_CONTRADICTED:
         return None
     for power in COSINES:
         if not any(beyond_rounding(_unexplained(samples, power)) for samples in ways):
@@ -250,9 +248,8 @@ def _is_one_law(ways: Sequence[Samples]) -> bool:
         cos_i, cos_o, smooth = _cosines(samples)
         there, back, _, _ = _both_ways(samples, 0)
         there, back, ratio = there.sum(axis=1), back.sum(axis=1), cos_o[:, 0] / cos_i
-        known = (
-            smooth & (there > 0) & (back > 0) & (np.abs(np.log(ratio)) > MIN_LOG_RATIO)
-        )
+        known = smooth & (there > 0) & (back > 0)
+        known &= np.abs(np.log(ratio)) > MIN_LOG_RATIO
         exponents.append(np.log(there[known] / back[known]) / np.log(ratio[known]))
     low, high = np.quantile(np.concatenate(exponents), [0.02, 0.98])
     return bool(high - low < MAX_EXPONENT_RANGE)

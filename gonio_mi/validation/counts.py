@@ -32,7 +32,6 @@ class Counts(Mistake):
     TURNED = "{who} draws directions {how}"
     DENSITY_OF_TURNED = "{who} is that of directions {how}"
     ABOUT_Z = "{who} draws directions about z, not about wi"
-    OUTSIDE = "{who} draws {part:.3g} of its directions where `pdf` is 0"
     NEVER_ON_A_SIDE = """{who} integrates to {mass:.3g} on a side where `sample` never
         goes, at {place}"""
     SIDE_LEFT_OUT = """{who} never goes to a side where `pdf` integrates to {mass:.3g}
@@ -158,13 +157,6 @@ def _stays(evidence: Evidence) -> bool:
         for condition in (Condition(20.0, 25.0), Condition(60.0, 140.0))
     )
     return not beyond_rounding(np.abs(one - other).max(axis=1) > SAME_DIRECTION)
-
-
-def _outside(counted: _Counted) -> Guess | None:
-    """Directions where ``pdf`` is 0."""
-    outside = counted.drawn[counted.maps.pdf < 1e-6].sum()
-    some = outside > 0.02 * counted.drawn.sum()
-    return Counts.OUTSIDE(SAMPLE, part=outside) if some else None
 
 
 def _side_left_out(counted: _Counted) -> Guess | None:
@@ -328,9 +320,8 @@ def _turned(bsdf: mi.BSDF, maps: FourMaps) -> Guess | None:
     if off[best] > 0.4 * min(misfit, off[""] / 4):
         return None
     light = np.sum([one.values for one in maps.due.channels], axis=0).reshape(shape)
-    of_drawn, of_pdf = (
-        np.abs(light / light.sum() - x / x.sum()).sum() for x in (drawn, due)
-    )
+    light /= light.sum()
+    of_drawn, of_pdf = (np.abs(light - x / x.sum()).sum() for x in (drawn, due))
     if of_drawn < of_pdf / 2:
         return Counts.DENSITY_OF_TURNED(PDF, how=best)
     return Counts.TURNED(SAMPLE, how=best)
@@ -406,10 +397,7 @@ def _distorted(counted: _Counted) -> Guess | None:
     if found is None:
         return None
     name, power = found
-    words = (
-        f"lacks the factor {FACTORS[name]}",
-        f"has an extra factor {FACTORS[name]}",
-    )
+    words = f"lacks the factor {FACTORS[name]}", f"has an extra factor {FACTORS[name]}"
     of_pdf, of_sample = words if power > 0 else reversed(words)
     by_pdf = np.array([_mass_of_pdf(maps) for maps in whole])
     drawn = [maps.totals.counts.sum() / maps.totals.n for maps in whole]
@@ -432,15 +420,9 @@ def _distorted(counted: _Counted) -> Guess | None:
 # What is asked in turn of counts; the first that knows tells.
 OF_COUNTS = (
     lambda counted: as_turned(counted.evidence),
-    *(
-        _outside,
-        _side_left_out,
-        _distorted,
-        _without_direction,
-        _unnormalised,
-        _of_right_weights,
-    ),
-    *(_rejected, _of_component, _other_than_alone, _other_probability),
+    *(_side_left_out, _distorted, _without_direction, _unnormalised),
+    *(_of_right_weights, _rejected, _of_component, _other_than_alone),
+    _other_probability,
 )
 
 

@@ -6,8 +6,6 @@ them tells the mistake (:mod:`.factors`); where counts and ``pdf`` differ, these
 (:mod:`.counts`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import mitsuba as mi
@@ -55,8 +53,7 @@ def likely_mistake(
     """
     worst = min(failed.values(), key=EFFECTS.index)
     # what is of the interface explains nothing else
-    harmless = {n for n in failed if failed[n] == INTERFACE != worst}
-    failed = {name: failed[name] for name in failed if name not in harmless}
+    failed = {n: x for n, x in failed.items() if not x == INTERFACE != worst}
     if not mi.is_polarized:
         own = {name: shares[name] for name in failed if failed[name] == worst}
         largest = max((x for x in own.values() if x is not None), default=0.0)

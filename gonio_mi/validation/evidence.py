@@ -14,10 +14,9 @@ import numpy as np
 from ..array_types import Flags, Floats
 from ..single_precision import BSDF_ROUNDING
 from ..transport.bsdf_trial import PluginFault
-from .conditions import Condition
-from .kinds import Kind, MatrixKind
-from .maps import FourMaps
-from .mistakes import Function, Guess, Mistake
+from .conditions import Condition, Effort
+from .maps import FourMaps, four_maps
+from .mistakes import Function, Guess, Kind, MatrixKind, Mistake
 from .probe import Probe
 from .samples import Samples, beyond_rounding, means_differ, unequal
 
@@ -169,9 +168,8 @@ class Finding:
     of_flux: bool = False
 
     def __post_init__(self) -> None:
-        kinds: dict[str, Any] = dict(Kind.__members__)
-        if mi.is_polarized:
-            kinds |= MatrixKind.__members__
+        of_matrices = MatrixKind.__members__ if mi.is_polarized else {}
+        kinds: dict[str, Any] = {**Kind.__members__, **of_matrices}
         own = kinds.get(self.name.upper(), Kind.RAISES)
         object.__setattr__(self, "kind", self.kind or own)
         object.__setattr__(self, "effect", self.effect or self.question.effect)
@@ -274,6 +272,15 @@ class Evidence:
             for check in question.checks.get(about, ()):
                 check(self, *given)
 
+    def add_maps(
+        self, plan: Effort, condition: Condition, *key: int
+    ) -> FourMaps | None:
+        """Draw maps and keep them; None if their integrals do not converge."""
+        each = plan.patches, plan.samples, (self.seed, *key)
+        maps = four_maps(self.bsdf, condition, *each)
+        self.maps += [] if maps is None else [maps]
+        return maps
+
     @cached_property
     def noisy(self) -> bool:
         """Whether ``eval`` draws numbers of its own: others at each call, of one mean.
@@ -286,9 +293,8 @@ class Evidence:
         again = Probe(self.bsdf, first.condition).values(first.wo)
         usable = first.usable & np.isfinite(again).all(axis=1)
         many = unequal(again, first.eval, 0)[usable].sum() > MIN_RANDOM * first.n
-        return bool(many) and not means_differ(
-            first.eval[usable], again[usable], first.wo[usable]
-        )
+        answers = first.eval[usable], again[usable], first.wo[usable]
+        return bool(many) and not means_differ(*answers)
 
     def by_chance(self, a: Floats, b: Floats, wo: Floats) -> bool:
         """Whether answers of ``eval`` differ because it draws numbers of its own."""

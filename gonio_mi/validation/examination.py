@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
@@ -38,8 +39,8 @@ from .conditions import Condition, Effort, sides_of
 from .cosines import explain_reciprocity
 from .diagnosis import likely_mistake
 from .evidence import BIAS, MAX_P, NOISE, Evidence, Question
-from .kinds import Kind
-from .maps import four_maps, in_radiance_mode
+from .maps import in_radiance_mode
+from .mistakes import Kind
 from .phase_functions import as_bsdf, examine_phase_function
 from .polarised import examine_polarised
 from .probe import Probe, number_parameters
@@ -187,9 +188,8 @@ def _questions(bsdf: mi.BSDF, name: str, allow: Sequence[str]) -> tuple[Question
     names = [one.name for one in questions]
     for one in allow:
         if one not in names:
-            raise SettingError(
-                f"allow must name some of {', '.join(names)}, got {shown(one)}"
-            )
+            known = ", ".join(names)
+            raise SettingError(f"allow must name some of {known}, got {shown(one)}")
     return questions
 
 
@@ -295,35 +295,27 @@ def _check_maps(
     evidence: Evidence, plan: Effort, sides: Sequence[str], components: Sequence[int]
 ) -> Iterator[float]:
     """Check samples by patch; yield steps of progress."""
+    if evidence.noisy:
+        # means of samples were compared
+        _leave_undecided(evidence, "`eval` draws random numbers: it has no integral")
+        evidence.downgraded |= dict.fromkeys(STATISTICAL, NOISE)
+        return
     conditions = list(plan.maps(sides, components))
     if evidence.bsdf.needs_differentials():
         conditions += [replace(conditions[0], differentials=True)]
     other_mode = any(_depends_on_mode(evidence, one) for one in evidence.whole)
-    if evidence.noisy:
-        # means of samples were compared
-        text = "`eval` draws random numbers: it has no integral"
-        evidence.undecided |= dict.fromkeys(STATISTICAL, text)
-        evidence.downgraded |= dict.fromkeys(STATISTICAL, NOISE)
-        return
     if other_mode:
         conditions += [replace(one, mode="radiance") for one in plan.radiance(sides)]
     failed = 0
     for i, condition in enumerate(conditions):
-        key = (evidence.seed, 2, i)
-        maps = four_maps(evidence.bsdf, condition, plan.patches, plan.samples, key)
-        if maps is None:
-            failed += 1
-        else:
-            evidence.maps.append(maps)
+        failed += evidence.add_maps(plan, condition, 2, i) is None
         yield N_STEPS * (1 - SAMPLES_STEPS) / len(conditions)
     if not other_mode:
         # the same integrals, other samples: their keys follow those of all conditions
-        for side in sides:
-            own = (maps for maps in evidence.maps if maps.condition.side == side)
-            first = next(own, None)
-            if first is not None:
-                key = (evidence.seed, 2, len(evidence.maps) + failed)
-                evidence.maps.append(in_radiance_mode(evidence.bsdf, first, key))
+        first = {maps.condition.side: maps for maps in reversed(evidence.maps)}
+        for maps in [first[side] for side in sides if side in first]:
+            key = (evidence.seed, 2, len(evidence.maps) + failed)
+            evidence.maps.append(in_radiance_mode(evidence.bsdf, maps, key))
     for maps in evidence.maps:
         evidence.ask("maps", maps)
     _look_between(evidence, plan, sides)
@@ -336,16 +328,21 @@ def _check_maps(
         text = "no light was scattered, so that nothing was compared"
         if other := next(dark, None):
             text = OF_ANOTHER_SIDE.format(sides[0], other.guess.fields["side"])
-        evidence.undecided |= dict.fromkeys(STATISTICAL, text)
+        _leave_undecided(evidence, text)
     if failed:
         text = (
             f"the integrals of {failed} of {len(conditions)} incident directions did "
             "not converge: it would take more effort, or a smoother lobe"
         )
         if failed == len(conditions):
-            evidence.undecided |= dict.fromkeys(STATISTICAL, text)
+            _leave_undecided(evidence, text)
         for name in STATISTICAL:
             evidence.remark(name, text)
+
+
+def _leave_undecided(evidence: Evidence, text: str) -> None:
+    """Note why nothing that maps of samples decide is decided."""
+    evidence.undecided |= dict.fromkeys(STATISTICAL, text)
 
 
 def _look_between(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> None:
@@ -358,10 +355,7 @@ def _look_between(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> Non
     if not wrong or not all(test.minor for test in wrong):
         return
     for i, condition in enumerate(plan.between(sides)):
-        key = (evidence.seed, 3, i)
-        maps = four_maps(evidence.bsdf, condition, plan.patches, plan.samples, key)
-        if maps is not None:
-            evidence.maps.append(maps)
+        if maps := evidence.add_maps(plan, condition, 3, i):
             evidence.ask("maps", maps)
 
 
@@ -379,14 +373,10 @@ def _add_maps_of_failure(evidence: Evidence, plan: Effort) -> None:
     condition = max(own, key=lambda one: one.share or 0.0).condition
     maps = next((one for one in evidence.maps if one.condition == condition), None)
     if maps is None and condition is not None:
-        key = (evidence.seed, 2, 99)
-        try:
-            maps = four_maps(evidence.bsdf, condition, plan.patches, plan.samples, key)
-        except PluginFault:
-            return
+        with contextlib.suppress(PluginFault):
+            maps = evidence.add_maps(plan, condition, 2, 99)
     if maps is not None:
-        rest = [one for one in evidence.maps if one is not maps]
-        evidence.maps[:] = [maps, *rest]
+        evidence.maps.sort(key=lambda one: one is not maps)
 
 
 def _brightest(evidence: Evidence) -> Samples:

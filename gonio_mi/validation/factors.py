@@ -5,9 +5,10 @@ And whether the weight of ``sample`` or ``eval`` is wrong, if anything tells.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any, NamedTuple
 
 import mitsuba as mi
 import numpy as np
@@ -66,7 +67,7 @@ class Between:
     ----------
     guilty : Function
     above, below : str
-        Names of the answers.
+        The answers, as attributes of samples.
     subject, words : str
         That function's answer as the subject of "lacks a factor", and the ratio.
     """
@@ -90,13 +91,13 @@ OF_PDF = Between(
 )
 OF_WEIGHT = Between(
     SAMPLE,
-    "weight",
+    "flux_by_pdf",
     "eval",
     "`sample` weight",
     "`sample`: weight times pdf, over `eval`,",
 )
 OF_EVAL = Between(
-    EVAL, "eval", "weight", "`eval`", "`eval`: value, over weight times pdf,"
+    EVAL, "eval", "flux_by_pdf", "`eval`", "`eval`: value, over weight times pdf,"
 )
 
 # Largest distance from 1, for nine samples in ten, of a ratio that is explained; and of
@@ -106,44 +107,27 @@ TOLERANCE, COMPONENT_TOLERANCE = 2e-3, 0.02
 # Least square of a roughness whose masking is told from a constant.
 MIN_ALPHA2 = 1e-3
 
-_ANSWERS: dict[str, Callable[[Samples], Floats]] = {
-    "weight": lambda samples: samples.weight * samples.pdf[:, None],
-    "eval": lambda samples: samples.eval,
-    "sampled_pdf": lambda samples: samples.sampled_pdf,
-    "pdf": lambda samples: samples.pdf,
-}
-
 
 def factor(name: str, samples: Samples, mask: Flags) -> Floats:
     """Values of a factor for some samples."""
-    if name in NUMBERS:
-        return np.full(np.count_nonzero(mask), NUMBERS[name])
     wi, wo = samples.wi[mask], samples.wo[mask]
-
-    def half() -> Floats:
-        between = wi + wo
-        length = np.linalg.norm(between, axis=1, keepdims=True)
-        return between / np.maximum(length, 1e-9)
-
-    def along() -> Floats:
-        return np.maximum(np.abs(np.sum(wo * half(), axis=1)), 1e-6)
-
-    def of_component() -> Floats:
-        drawn = np.bincount(samples.component[samples.smooth].astype(int))
-        return (drawn / drawn.sum())[samples.component[mask].astype(int)]
-
-    values: dict[str, Callable[[], Floats]] = {
-        "cos_o": lambda: np.maximum(np.abs(wo[:, 2]), 1e-9),
-        "cos_i": lambda: np.maximum(np.abs(wi[:, 2]), 1e-9),
-        "sin_o": lambda: np.maximum(np.hypot(wo[:, 0], wo[:, 1]), 1e-9),
-        "jacobian": lambda: 1 / (4 * along()),
+    if name == "component":
+        own = samples.component[mask].astype(int)
+        return (np.bincount(own) / len(own))[own]
+    half = wi + wo
+    half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
+    along = np.maximum(np.abs(np.sum(wo * half, axis=1)), 1e-6)
+    values: dict[str, Any] = NUMBERS | {
+        "cos_o": wo[:, 2],
+        "cos_i": wi[:, 2],
+        "sin_o": np.hypot(wo[:, 0], wo[:, 1]),
+        "jacobian": 1 / (4 * along),
         "dot": along,
-        "cos_h": lambda: np.maximum(np.abs(half()[:, 2]), 1e-9),
-        "eta2": lambda: samples.eta[mask] ** 2,
-        "component": of_component,
-        "pdf": lambda: samples.pdf[mask],
+        "cos_h": half[:, 2],
+        "eta2": samples.eta[mask] ** 2,
+        "pdf": samples.pdf[mask],
     }
-    return values[name]()
+    return np.maximum(np.abs(values[name] * np.ones(len(wo))), 1e-9)
 
 
 @dataclass(frozen=True)
@@ -167,13 +151,12 @@ class Ratio:
         return float(np.abs(self.values - 1).mean())
 
 
-@dataclass(frozen=True)
-class _Found:
+class _Found(NamedTuple):
     """A factor that explains a ratio, its power, and a constant besides."""
 
     name: str
     power: int
-    constant: float | None = None
+    constant: float = 1.0
 
 
 def ratios_of(evidence: Evidence, two: Between) -> list[Ratio]:
@@ -182,10 +165,8 @@ def ratios_of(evidence: Evidence, two: Between) -> list[Ratio]:
     for samples in (*evidence.whole, *evidence.sweeps, *evidence.in_radiance_mode):
         ok = samples.smooth & (samples.pdf > 0) & np.isfinite(samples.pdf)
         ok &= np.isfinite(samples.sampled_pdf) & (np.abs(samples.wo[:, 2]) > 1e-4)
-        over, under = (
-            _ANSWERS[name](samples).reshape(samples.n, -1)
-            for name in (two.above, two.below)
-        )
+        over = getattr(samples, two.above).reshape(samples.n, -1)
+        under = getattr(samples, two.below).reshape(samples.n, -1)
         for answer in (over, under):
             ok &= np.isfinite(answer).all(axis=1) & (answer > 0).any(axis=1)
         if ok.any():
@@ -206,7 +187,7 @@ def explain(ratios: Sequence[Ratio], two: Between) -> Guess:
         # weight times pdf has a factor too much: it was never divided by it
         mistakes = Factor.NOT_DIVIDED, Factor.DIVIDED_TWICE
     where = _where(wrong, ratios)
-    if found.constant is not None:
+    if found.constant != 1:
         where = f", and an additional factor of {found.constant:.4g}"
     mistake, factor = mistakes[found.power < 0], FACTORS[found.name]
     return mistake(two.guilty, factor=factor, where=where, **names)
@@ -220,18 +201,16 @@ def _explain_neutrally(ratios: Sequence[Ratio]) -> Guess:
     if all(_is_one(one.values / middle) for one in wrong):
         text = f"{middle:.4g}"
         if found is not None:
-            text = (
-                FACTORS[found.name] if found.power > 0 else f"1/{FACTORS[found.name]}"
-            )
+            text = f"{'' if found.power > 0 else '1/'}{FACTORS[found.name]}"
         return Factor.CONSTANT(EVAL | SAMPLE, factor=text, where=where)
     if found is None:
         text = _in_numbers(wrong, ratios)
         return Factor.EITHER(EVAL | SAMPLE, ratio=text, where="")
-    text, constant = FACTORS[found.name], found.constant
+    text = FACTORS[found.name]
     if found.power < 0:
-        text = f"{constant or 1:.4g} over {text}"
-    elif constant is not None:
-        text = f"{constant:.4g} times {text}"
+        text = f"{found.constant:.4g} over {text}"
+    elif found.constant != 1:
+        text = f"{found.constant:.4g} times {text}"
     return Factor.EITHER(EVAL | SAMPLE, ratio=f"is {text}", where=where)
 
 
@@ -264,15 +243,12 @@ def _find(ratios: Sequence[Ratio]) -> _Found | None:
     varying = [one for one in known if one not in (*NUMBERS, "component", "eta2")]
     alone = product([False], known, (1, -1))
     for with_constant, name, power in (*alone, *product([True], varying, (1, -1))):
-        own = known[name]
-        rests = [ratio.values / x**power for ratio, x in zip(ratios, own)]
-        if _is_trivial(name, own):
+        if _is_trivial(name, known[name]):
             continue
+        rests = [ratio.values / x**power for ratio, x in zip(ratios, known[name])]
+        constant = float(np.median(rests[0])) if with_constant else 1.0
         near = COMPONENT_TOLERANCE if name == "component" else TOLERANCE
-        if all(_is_one(rest, near) for rest in rests):
-            return _Found(name, power)
-        constant = float(np.median(rests[0]))
-        if with_constant and all(_is_one(rest / constant) for rest in rests):
+        if all(_is_one(rest / constant, near) for rest in rests):
             return _Found(name, power, constant)
     masking = next((k for k in (1, -1) if _is_masking(ratios, k)), None)
     return None if masking is None else _Found("masking", masking)
@@ -394,8 +370,7 @@ def explain_weights(evidence: Evidence) -> Guess:
     ratios = ratios_of(evidence, OF_WEIGHT)
     if not ratios:
         return Factor.OTHER_SUMS(SAMPLE)
-    colours = _exchanged_colours(ratios)
-    if colours:
+    if colours := _exchanged_colours(ratios):
         return Factor.COLOURS(EVAL | SAMPLE, colours=colours)
     if _is_of_lobe_alone(evidence):
         return Factor.OF_LOBE_ALONE(SAMPLE)
@@ -408,25 +383,25 @@ def explain_weights(evidence: Evidence) -> Guess:
     return explain(ratios, OF_WEIGHT) if guilty else _explain_neutrally(ratios)
 
 
+# Colours that may be exchanged, by the order of channels that takes it back.
+COLOURS = {
+    "red and blue": [2, 1, 0],
+    "red and green": [1, 0, 2],
+    "green and blue": [0, 2, 1],
+}
+
+
 def _exchanged_colours(ratios: Sequence[Ratio]) -> str:
     """Names of two colours that weights and ``eval`` exchange; empty if none."""
     samples, ok = ratios[0].samples, ratios[0].mask
-    weight, value = samples.weight * samples.pdf[:, None], samples.eval
-    slack = samples.eval_slack
-    if value.shape[1] != 3:
+
+    def differ(order: list[int]) -> bool:
+        value, slack = samples.eval[:, order], samples.eval_slack[:, order]
+        return beyond_rounding(unequal(samples.flux_by_pdf, value, slack) & ok)
+
+    if samples.eval.shape[1] != 3 or not differ([0, 1, 2]):
         return ""
-    for order, words in (
-        ([2, 1, 0], "red and blue"),
-        ([1, 0, 2], "red and green"),
-        ([0, 2, 1], "green and blue"),
-    ):
-        same, other = (
-            unequal(weight, value[:, one], slack[:, one]) & ok
-            for one in ([0, 1, 2], order)
-        )
-        if beyond_rounding(same) and not beyond_rounding(other):
-            return words
-    return ""
+    return next((words for words, one in COLOURS.items() if not differ(one)), "")
 
 
 def _by_energy(evidence: Evidence) -> Function | None:
@@ -454,7 +429,7 @@ def _by_reciprocity(bsdf: mi.BSDF, ratios: Sequence[Ratio]) -> Function | None:
         one
         for one in ratios
         if one.samples.condition.mode == "importance"
-        and not isinstance(one.samples.condition, Sweep)
+        if not isinstance(one.samples.condition, Sweep)
     ]
     # neither steep nor grazing, where all is symmetric or nothing is met
     usable.sort(key=lambda one: abs(one.samples.condition.theta_i - 45))
@@ -462,8 +437,7 @@ def _by_reciprocity(bsdf: mi.BSDF, ratios: Sequence[Ratio]) -> Function | None:
     for ratio in usable[:4]:
         own, index = ratio.samples, np.flatnonzero(ratio.mask)
         # of sums over channels, as those of the way back
-        flux = own.weight[index].sum(axis=1) * own.pdf[index]
-        logs = np.log(flux / own.eval[index].sum(axis=1))
+        logs = np.log(own.flux_by_pdf[index].sum(axis=1) / own.eval[index].sum(axis=1))
         wrong = own.reflected[index] & (np.abs(logs) > MAX_LOG_SAME)
         for k in np.flatnonzero(wrong)[:N_PAIRS]:
             back = _way_back(bsdf, own, int(index[k]))
@@ -475,10 +449,8 @@ def _by_reciprocity(bsdf: mi.BSDF, ratios: Sequence[Ratio]) -> Function | None:
     if len(pairs) < N_PAIRS // 2:
         return None
     by_eval, by_weights, slack = np.abs(np.array(pairs)).T
-    for guilty, right, wrong in (
-        (SAMPLE, by_eval, by_weights),
-        (EVAL, by_weights, by_eval),
-    ):
+    either = (SAMPLE, by_eval, by_weights), (EVAL, by_weights, by_eval)
+    for guilty, right, wrong in either:
         same = np.mean(right < MAX_LOG_SAME + slack)
         other = np.mean(wrong > MIN_LOG_OTHER + slack)
         if same > MIN_SAME and other > MIN_OTHER:

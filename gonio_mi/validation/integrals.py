@@ -78,7 +78,7 @@ class PatchIntegrals:
 
 @dataclass(frozen=True)
 class Expected:
-    """What is due in each patch.
+    """What is due in each patch, in the order of :func:`_finite_values`.
 
     Attributes
     ----------
@@ -104,14 +104,6 @@ class Expected:
     unused: PatchIntegrals
     channels: list[PatchIntegrals]
     least: float
-
-    @staticmethod
-    def of(found: list[PatchIntegrals], least: float) -> Expected:
-        """Sort the integrals of :func:`_finite_values`."""
-        used, damped, squares, cubes, unreached, unused, *channels = found
-        return Expected(
-            used, damped, squares, cubes, unreached, unused, channels, least
-        )
 
 
 def integrals(
@@ -193,7 +185,9 @@ def _lattice(
             )
             means[patches] = values.mean(axis=-1).transpose(1, 2, 0) * area[patches]
     # how well the sum is known, it says itself
-    return Expected.of(_mean_integrals(means), least)
+    found = _mean_integrals(means)
+    each: Any = (*found[:6], found[6:], least)
+    return Expected(*each)
 
 
 def _rough(means: Floats, totals: PatchTotals, weight_limits: Floats) -> Flags:
@@ -343,7 +337,8 @@ def _adaptive(
         PatchIntegrals(flux[:, c], error[:, c], nothing, float(error[:, c].sum()))
         for c in range(flux.shape[1])
     ]
-    return Expected.of(several, np.inf)
+    each: Any = (*several[:6], several[6:], np.inf)
+    return Expected(*each)
 
 
 def _most_evaluations(totals: PatchTotals) -> int:

@@ -156,11 +156,8 @@ class FourMaps:
     @property
     def pdf_sum_bound(self) -> float:
         """Bound on the error of the sum of `pdf`."""
-        return (
-            self.due.counts.sum_bound
-            + self.pdf_rounding * self.pdf.sum()
-            + END_ROUNDING
-        )
+        rounding = self.pdf_rounding * self.pdf.sum() + END_ROUNDING
+        return self.due.counts.sum_bound + rounding
 
     @property
     def count_varies(self) -> bool:
@@ -244,9 +241,8 @@ def four_maps(
 def in_radiance_mode(bsdf: mi.BSDF, maps: FourMaps, key: tuple[int, ...]) -> FourMaps:
     """Maps of new samples in radiance mode, of a BSDF whose integrals stay the same."""
     condition = replace(maps.condition, mode="radiance")
-    totals = patch_totals(
-        bsdf, condition, maps.subdivision, maps.totals.n, key, maps.damping
-    )
+    patches, n = maps.subdivision, maps.totals.n
+    totals = patch_totals(bsdf, condition, patches, n, key, maps.damping)
     return replace(maps, condition=condition, totals=totals)
 
 
@@ -297,9 +293,8 @@ def unexplained_light(maps: FourMaps, name: str) -> float:
     whole, scores = float(flux.sum()), maps.scores(name)
     if not (whole > 0 and scores.first.size):
         return 1.0
-    off, expected, light = (
-        np.add.reduceat(x, scores.first) for x in (drawn - due, due, flux)
-    )
+    columns = drawn - due, due, flux
+    off, expected, light = (np.add.reduceat(x, scores.first) for x in columns)
     off = np.abs(off) * _certain(scores.z) / np.maximum(expected, 1e-30)
     return float(off @ light) / whole + 1 - maps.judged
 

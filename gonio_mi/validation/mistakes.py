@@ -1,4 +1,4 @@
-"""What is likely wrong: guilty functions, and mistakes by code with a sentence."""
+"""What is found: its kind, guilty functions, and mistakes by code with a sentence."""
 
 from __future__ import annotations
 
@@ -6,6 +6,29 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum, Flag, auto
 from typing import Any
+
+# What a finding is about: a property, or one aspect of it. The part of that name in
+# `scripts` shows it.
+Kind = Enum(
+    "Kind",
+    "ANSWERS RAISES OTHER_WHEN_CALLED_AGAIN OTHER_IN_ANOTHER_PLACE OTHER_IN_THE_WORLD "
+    "OTHER_IN_ANOTHER_NUMBER ALBEDO DIRECTIONS LENGTH ETA_OF_REFLECTION SAMPLING "
+    "WEIGHTS MASS MASS_OF_A_DARK_SIDE LIGHT_OF_A_DARK_SIDE ENERGY SAMPLED_PDF "
+    "SAMPLED_WEIGHT EVAL_PDF EVAL_PDF_ANYWHERE EVAL_PDF_SAMPLE OTHER_SAMPLES ETA "
+    "CONTINUITY JUMP_AT_NORMAL RECIPROCITY SYMMETRY SYMMETRY_OF_MICROFLAKES "
+    "RECIPROCITY_OF_A_LOBE ADJOINT ADJOINT_OF_A_LOBE DELTA NULL_TRANSMISSION "
+    "DIRECTION_OF_A_LOBE WEIGHTS_OF_A_LOBE TYPE_OF_A_COMPONENT DIFFERENTIALS FLAGS "
+    "UNDECLARED_SIDE TYPE_MASK ANISOTROPIC COMPONENTS LOBE_OF_A_COMPONENT MASKS "
+    "MASKS_OF_OTHERS ENDS LENGTH_AT_AN_END GRADIENT UPDATE PARAMETERS "
+    "DENSITY_AFTER_A_CHANGE",
+)
+
+# The same of Mueller matrices.
+MatrixKind = Enum(
+    "MatrixKind",
+    "ANSWERS FIRST_ELEMENT SAMPLED_WEIGHT EVAL_PDF REALISABLE ENERGY FRAMES JUMP "
+    "WORLD RECIPROCITY ADJOINT",
+)
 
 
 class Function(Flag):

@@ -59,9 +59,8 @@ def from_numpy(
     """
     for name, function in (("sample", sample), ("eval", eval), ("pdf", pdf)):
         if not callable(function):
-            raise SettingTypeError(
-                f"{name} must be a function, got {type(function).__name__}"
-            )
+            kind = type(function).__name__
+            raise SettingTypeError(f"{name} must be a function, got {kind}")
     flags = mi.BSDFFlags
     lobes = int(flags.GlossyReflection) | int(flags.FrontSide)
     lobes |= int(flags.GlossyTransmission) if transmits else 0
@@ -86,7 +85,8 @@ def from_numpy(
             u = np.column_stack([numbers(sample1, n), spectral(sample2, n)])
             wo, weight, density = sample(wi, u)
             bs = dr.zeros(mi.BSDFSample3f, n)
-            bs.wo, bs.pdf, bs.eta = vectors(np.asarray(wo)), _number(density, n), 1.0
+            bs.wo, bs.pdf = vectors(np.asarray(wo)), floats(np.broadcast_to(density, n))
+            bs.eta = 1.0
             kinds = (flags.GlossyTransmission, flags.GlossyReflection)
             passes = bs.wo.z * si.wi.z < 0
             bs.sampled_type = dr.select(passes, *(mi.UInt32(int(x)) for x in kinds))
@@ -101,17 +101,13 @@ def from_numpy(
         def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> mi.Float:
             """Answer of the third function."""
             n = dr.width(si.wi, wo, active)
-            value = pdf(spectral(si.wi, n), spectral(wo, n))
-            return dr.select(self._on(ctx, active), _number(value, n), 0)
+            value = np.broadcast_to(pdf(spectral(si.wi, n), spectral(wo, n)), n)
+            return dr.select(self._on(ctx, active), floats(value), 0)
 
         def to_string(self) -> str:
             return "Adapter[]"
 
     return Adapter(mi.Properties("adapter"))
-
-
-def _number(values: ArrayLike, n: int) -> mi.Float:
-    return floats(np.broadcast_to(values, n))
 
 
 def _spectrum(values: ArrayLike, n: int) -> mi.Spectrum:

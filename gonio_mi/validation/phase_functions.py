@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -20,9 +19,7 @@ from .checks.sampling import SAMPLING
 from .checks.weights import WEIGHTS
 from .conditions import Condition, Effort, sides_of
 from .evidence import Evidence
-from .kinds import Kind
-from .maps import four_maps
-from .mistakes import EVAL, SAMPLE, Function, Mistake
+from .mistakes import EVAL, SAMPLE, Function, Kind, Mistake
 from .probe import Probe, numbers, vectors
 from .samples import Samples, beyond_rounding, samples_of, unequal
 
@@ -145,10 +142,7 @@ def _check_maps(
     if evidence.in_radiance_mode:
         conditions += tuple(replace(one, mode="radiance") for one in conditions)
     for i, condition in enumerate(conditions):
-        key = (evidence.seed, 2, i)
-        maps = four_maps(evidence.bsdf, condition, plan.patches, plan.samples, key)
-        if maps is not None:
-            evidence.maps.append(maps)
+        if maps := evidence.add_maps(plan, condition, 2, i):
             evidence.ask("maps", maps)
     sampling.check_pooled(evidence)
     sampling.check_roulette(evidence)
@@ -181,11 +175,12 @@ def _check_rings(evidence: Evidence) -> None:
     """
     phase = evidence.bsdf.phase_function
     wavelengths = Probe(evidence.bsdf, ASKED[0]).interaction().wavelengths
-    for question, asked, mistake in (
-        (WEIGHTS, phase, OfVolumes.SCATTERS_OTHERWISE),
-        (SAMPLING, Densities(phase), OfVolumes.DRAWS_OTHERWISE),
+    light = ask_phase_function(phase, wavelengths)
+    drawn = ask_phase_function(Densities(phase), wavelengths)
+    for question, found, mistake in (
+        (WEIGHTS, light, OfVolumes.SCATTERS_OTHERWISE),
+        (SAMPLING, drawn, OfVolumes.DRAWS_OTHERWISE),
     ):
-        found = ask_phase_function(asked, wavelengths)
         size = float(found.misplaced.max())
         text = f"{size:.2g} of the light in other rings"
         remark = f"in rings about the light, of 4 directions: {text}"
@@ -194,16 +189,14 @@ def _check_rings(evidence: Evidence) -> None:
             text += f", {found.excess:.3g} times the tolerance"
             how = {"size": size, "off": min(size, 1.0)}
             evidence.breach(question, mistake(SAMPLE), found=text, **how)
-        if question is WEIGHTS:
-            total, bound = found.evaluated, found.tolerance
-            off = np.abs(total[:, :N_RINGED].sum(axis=1) - 1)
-            limit = bound[:, :N_RINGED].sum(axis=1)
-            if (off > limit).any():
-                k = int((off / limit).argmax())
-                flux = float(total[k, :N_RINGED].sum())
-                text, size = f"`eval` integrates to {flux:.4g}", abs(flux - 1)
-                guess = Energy.NOT_1(EVAL, flux=f"{flux:.4g}")
-                evidence.breach(ENERGY, guess, found=text, size=size)
+    flux = light.evaluated[:, :N_RINGED].sum(axis=1)
+    limit = light.tolerance[:, :N_RINGED].sum(axis=1)
+    k = int((np.abs(flux - 1) / limit).argmax())
+    size = abs(float(flux[k]) - 1)
+    if size > limit[k]:
+        total = f"{flux[k]:.4g}"
+        guess, text = Energy.NOT_1(EVAL, flux=total), f"`eval` integrates to {total}"
+        evidence.breach(ENERGY, guess, found=text, size=size)
 
 
 def _check_reciprocity(evidence: Evidence, samples: Samples) -> None:
@@ -211,10 +204,8 @@ def _check_reciprocity(evidence: Evidence, samples: Samples) -> None:
     usable = samples.usable & np.isfinite(samples.reverse).all(axis=1)
     if not usable.any():
         return
-    areas = [
-        _projected_area(evidence.bsdf, samples.condition, one)
-        for one in (samples.wi, samples.wo)
-    ]
+    asked = evidence.bsdf, samples.condition
+    areas = [_projected_area(*asked, one) for one in (samples.wi, samples.wo)]
     there, back = samples.eval * areas[0], samples.reverse * areas[1]
     slack = samples.eval_slack * areas[0] + samples.reverse_slack * areas[1]
     wrong = unequal(there, back, slack) & usable
@@ -242,5 +233,5 @@ def _projected_area(bsdf: mi.BSDF, condition: Condition, local: Floats) -> Float
     si = Probe(bsdf, condition).interaction(vectors(local))
     mei = dr.zeros(mi.MediumInteraction3f, n)
     mei.wi, mei.p = si.to_world(si.wi), si.p
-    area: Callable[..., Any] = phase.projected_area
-    return numbers(area(mei, mi.Bool(True)), n).astype(float)[:, None]
+    area: Any = phase.projected_area(mei, mi.Bool(True))
+    return numbers(area, n).astype(float)[:, None]

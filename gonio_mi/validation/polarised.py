@@ -23,7 +23,6 @@ from .mueller import (
     Lobes,
     Matrices,
     MuellerProbe,
-    about,
     is_depolarised,
     lit_directions,
     per_light,
@@ -195,9 +194,7 @@ class _Examination:
         chosen = np.flatnonzero(lobes.delta)[: 256 * self.size]
         there, random = lobes.weights.take(chosen), self.random[chosen]
         # the same lobe, for any of some choices, in both directions
-        choices = np.broadcast_to(
-            random[:, None], (len(chosen), len(CHOICES), 3)
-        ).copy()
+        choices = np.repeat(random[:, None], len(CHOICES), axis=1)
         choices[..., 0] = CHOICES
         wi = np.broadcast_to(there.wo[:, None], choices.shape)
         returned = self.importance.sample(wi, choices, there.uv[:, None])
@@ -226,8 +223,10 @@ class _Examination:
 
         A tilted surface is that of the first place, where `nested` are its axes.
         """
+        from scipy.spatial.transform import Rotation  # slow to import, rarely needed
+
         angle = 2 * np.pi * (np.arange(N_ANGLES) + self.rng.random(N_ANGLES)) / N_ANGLES
-        turns = about(normal, angle)
+        turns = Rotation.from_rotvec(angle[:, None] * normal).as_matrix()
         lobes = self.lobes
         for smooth in (True, False):
             asked = lobes.smooth if smooth else lobes.delta & ~lobes.null
@@ -251,21 +250,20 @@ class _Examination:
                 # a discrete lobe turns with its source
                 usable &= np.abs(matrices.wo - wo).max(-1) < SAME_DIRECTION
             same = np.asarray(usable.all(axis=1))
-            turned_pairs = frames.Turned(matrices, slack, normal, nested)
-            frames.check_turned(self.evidence, turned_pairs.select(same))
+            found = matrices.take(same), slack[same]
+            frames.check_turned(self.evidence, *found, normal, nested)
 
     def _some(self, chosen: Flags) -> Integers:
         """Indices of a few samples of each type and side."""
         found = np.flatnonzero(chosen)
         if not len(found):
             return found
-        side = np.sign(self.wi[found, 2]) + 3 * np.sign(self.lobes.weights.wo[found, 2])
-        kinds = zip(side.tolist(), self.lobes.type[found].tolist())
-        groups: dict[tuple[float, int], list[int]] = {}
-        for index, kind in zip(found.tolist(), kinds):
-            groups.setdefault(kind, []).append(index)
-        each = max(2, N_PAIRS * self.size // len(groups))
-        return np.array([i for own in groups.values() for i in own[:each]])
+        sides = np.sign([self.wi[found, 2], self.lobes.weights.wo[found, 2]])
+        kinds = np.array([*sides, self.lobes.type[found]]).T
+        _, group = np.unique(kinds, axis=0, return_inverse=True)
+        n = int(group.max()) + 1
+        each = max(2, N_PAIRS * self.size // n)
+        return np.concatenate([found[group == k][:each] for k in range(n)])
 
     def check_jumps(self) -> None:
         """Check paths of one or both directions over the sphere."""

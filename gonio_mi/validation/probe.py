@@ -129,9 +129,8 @@ class Probe:
     ) -> Sample:
         """Answer of ``sample``."""
         answer = self._call("sample", sample1, sample2, active=active, wi=wi)
-        return checked_sample(
-            "sample", answer, self._width(wi, sample1, sample2, active)
-        )
+        n = self._width(wi, sample1, sample2, active)
+        return checked_sample("sample", answer, n)
 
     def eval(
         self,

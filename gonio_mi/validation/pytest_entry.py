@@ -4,8 +4,6 @@ What pip installs has it as a module of its own, ``gonio_mi_pytest``: pytest imp
 whenever it starts, and this package, with Mitsuba, only when a BSDF is examined.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shlex

@@ -24,6 +24,9 @@ from .checks.sampled_weight import SAMPLED_WEIGHT
 from .checks.sampling import SAMPLING
 from .checks.weights import WEIGHTS
 
+# Integrators that ask a phase function.
+VOLUMETRIC = "volpath, volpathmis, prbvolpath: all that follow rays through media"
+
 QUESTIONS = (
     *(ANSWERS, FIRST_ELEMENT, DIRECTIONS, SAMPLING, WEIGHTS, SAMPLED_PDF),
     *(SAMPLED_WEIGHT, EVAL_PDF, EVAL_PDF_SAMPLE, REALISABLE, ENERGY, FRAMES),
@@ -49,7 +52,7 @@ OF_MATRICES = tuple(
 
 # Of phase functions, whose `eval_pdf` answers what is called `eval` and `pdf`.
 OF_VOLUMES = tuple(
-    replace(one, text=one.volumes or one.text)
+    replace(one, text=one.volumes or one.text, integrators=VOLUMETRIC)
     for one in QUESTIONS
     if one.volumes is not None
 )

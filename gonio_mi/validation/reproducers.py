@@ -6,8 +6,6 @@ are: in standard errors, or, where chance takes no part, in roundings. Counts an
 masks must be equal.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import textwrap
@@ -26,8 +24,8 @@ from ..instrument.specimen_text import with_real_indices
 from ..single_precision import BSDF_ROUNDING
 from ..transport.variants import unpolarised
 from .conditions import POSITION, TURN, WAVELENGTHS_NM, Condition, Sweep
-from .kinds import Kind, MatrixKind
 from .maps import FourMaps
+from .mistakes import Kind, MatrixKind
 from .probe import Probe
 from .verdict import Property, Verdict
 
@@ -132,16 +130,15 @@ def reproducer(verdict: Verdict, name: str | None = None) -> str:
     SettingError
         If nothing fails, or the BSDF was given as an object.
     """
-    failed = {one.name: one for one in verdict.failures}
     if verdict.source is None:
         raise SettingError(
             "a reproducer needs the BSDF as a dictionary or a file, got an object"
         )
-    one = next(iter(failed.values()), None) if name is None else failed.get(name)
-    if one is None:
-        which = "a property" if name is None else name
-        raise SettingError(f"a reproducer needs {which} that fails, got none")
-    return script(verdict, one)
+    for one in verdict.failures:
+        if name in (None, one.name):
+            return script(verdict, one)
+    which = "a property" if name is None else name
+    raise SettingError(f"a reproducer needs {which} that fails, got none")
 
 
 def save_reproducer(verdict: Verdict, path: str | PathLike[str]) -> None:
@@ -170,9 +167,8 @@ def script(verdict: Verdict, one: Property) -> str:
         words["CORNERS"] = str(rounded)
         if kind is Kind.SAMPLING and maps and maps.due.unused.values.sum() > UNUSED:
             words |= OF_LIT_SAMPLES
-    given = parts(
-        "matrix" if isinstance(kind, MatrixKind) else script_kind(one.of_volumes)
-    )
+    matrices = isinstance(kind, MatrixKind)
+    given = parts("matrix" if matrices else script_kind(one.of_volumes))
     words = _place(verdict, one, condition) | words
     words["COUNT"] = "2**20" if "standard errors" in given[part] else "2**16"
     words |= {"COUNT": "27"} if part == "ENDS" else {}
@@ -381,13 +377,10 @@ def _box(verdict: Verdict, name: str) -> tuple[FourMaps | None, Any]:
         n, patches = maps.totals.n, maps.subdivision
         shape = (2, *patches.shape)
         drawn, due = maps.totals.counts, n * maps.pdf
-        hits, squares = np.maximum(drawn, due), np.maximum(drawn, due)
+        hits = squares = np.maximum(drawn, due)
         if name == "weights":
-            drawn, due, squares = (
-                maps.totals.sums,
-                n * maps.weights,
-                maps.totals.squares,
-            )
+            drawn, squares = maps.totals.sums, maps.totals.squares
+            due = n * maps.weights
         cosines = np.cos(patches.theta_edges)
         for axes in ((0, 1, 2), (1, 2), (2,), ()):
             k, q, e, s = (

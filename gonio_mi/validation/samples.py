@@ -176,6 +176,11 @@ class Samples:
         return self.weight * self.sampled_pdf[:, None]
 
     @property
+    def flux_by_pdf(self) -> Floats:
+        """Weight times the density of ``pdf``."""
+        return self.weight * self.pdf[:, None]
+
+    @property
     def wi(self) -> Floats:
         """Incident direction of each sample, shape ``(n, 3)``."""
         return np.broadcast_to(self.condition.wi, self.wo.shape)
@@ -286,14 +291,13 @@ def _joint(
 ) -> dict[str, Any]:
     """Answers of ``eval_pdf`` and ``eval_pdf_sample``, and the latter's samples."""
     n = dr.width(wo)
-    value, pdf = probe.eval_pdf(wo)
-    other_value, other_pdf, (bs, weight) = probe.eval_pdf_sample(wo, sample1, sample2)
+    answers: dict[str, Any] = {"eval_pdf": probe.eval_pdf(wo)}
+    *both, (bs, weight) = probe.eval_pdf_sample(wo, sample1, sample2)
+    answers["eval_pdf_sample"] = both
     return {
-        "eval_pdf": (spectral(value, n), numbers(pdf, n).astype(float)),
-        "eval_pdf_sample": (
-            spectral(other_value, n),
-            numbers(other_pdf, n).astype(float),
-        ),
+        name: (spectral(value, n), numbers(pdf, n).astype(float))
+        for name, (value, pdf) in answers.items()
+    } | {
         "wo": spectral(bs.wo, n),
         "weight": spectral(weight, n),
         "pdf": numbers(bs.pdf, n).astype(float),
@@ -341,9 +345,8 @@ def closer_slacks(bsdf: mi.BSDF, samples: Samples) -> tuple[Floats, Floats]:
     has few steps left, and the usual displacements may miss them all.
     """
     probe, n = Probe(bsdf, samples.condition), samples.n
-    wi, wo = (
-        vectors(np.repeat(x, N_DISPLACED, axis=0)) for x in (samples.wi, samples.wo)
-    )
+    both = samples.wi, samples.wo
+    wi, wo = (vectors(np.repeat(x, N_DISPLACED, axis=0)) for x in both)
     slacks = _changes(
         _displaced(wi, wo, (n, 4)),
         (lambda wi, wo: probe.eval(wo, wi=wi), probe.eval(wo)),
@@ -370,9 +373,7 @@ def _changes(
     """
     *moved, weights = zip(*displaced)
     dr.eval(moved)
-    wi, wo = (
-        mi.Vector3f(*(floats(*column) for column in zip(*vectors))) for vectors in moved
-    )
+    wi, wo = (mi.Vector3f(*(floats(*x) for x in zip(*one))) for one in moved)
     of_each = np.array(weights, np.float32)[:, None]
     largest = []
     for function, value in functions:
@@ -403,9 +404,8 @@ def _displaced(
     steps = [(_step(), _step()) for _ in range(3)]
     dr.eval(steps)  # in a kernel that all share
     for of_wi, of_wo in steps:
-        yield from (
-            (*moved, 1.0) for moved in zip(_moved(wi, of_wi), _moved(wo, of_wo))
-        )
+        for moved in zip(_moved(wi, of_wi), _moved(wo, of_wo)):
+            yield *moved, 1.0
 
 
 def _tilted(

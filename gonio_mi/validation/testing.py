@@ -1,7 +1,7 @@
 """For the test suites of those who write Mitsuba plugins."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import mitsuba as mi
 from mitsuba import chi2
@@ -42,37 +42,30 @@ def assert_bsdf_valid(
 # -------------------------------------------- in the place of those of mitsuba.chi2
 
 SphericalDomain = chi2.SphericalDomain
+_Functions: TypeAlias = "tuple[Callable[..., Any], Callable[..., Any]]"
 
 
 def BSDFAdapter(  # noqa: N802 (as Mitsuba has it)
     bsdf_type: str, extra: Any, *args: Any, **kwargs: Any
-) -> tuple[Callable[..., Any], Callable[..., Any]]:
+) -> _Functions:
     """Return the functions of ``mitsuba.chi2.BSDFAdapter``, which know their BSDF.
 
     Parameters as there. :class:`ChiSquareTest` judges the whole BSDF by them.
     """
-    return _known(chi2.BSDFAdapter, "bsdf", bsdf_type, extra, *args, **kwargs)
+    functions = chi2.BSDFAdapter(bsdf_type, extra, *args, **kwargs)
+    return _known(functions, "bsdf", bsdf_type, extra)
 
 
 def PhaseFunctionAdapter(  # noqa: N802
     phase_type: str, extra: Any, *args: Any, **kwargs: Any
-) -> tuple[Callable[..., Any], Callable[..., Any]]:
+) -> _Functions:
     """Return the functions of ``mitsuba.chi2.PhaseFunctionAdapter``, likewise."""
-    return _known(
-        chi2.PhaseFunctionAdapter, "phase", phase_type, extra, *args, **kwargs
-    )
+    functions = chi2.PhaseFunctionAdapter(phase_type, extra, *args, **kwargs)
+    return _known(functions, "phase", phase_type, extra)
 
 
-def _known(
-    adapter: Callable[..., Any],
-    tag: str,
-    name: str,
-    extra: Any,
-    *args: Any,
-    **kwargs: Any,
-) -> tuple[Callable[..., Any], Callable[..., Any]]:
+def _known(functions: Any, tag: str, name: str, extra: Any) -> _Functions:
     """Functions of an adapter, with what they ask as an attribute."""
-    functions = adapter(name, extra, *args, **kwargs)
     text = f'<{tag} version="3.0.0" type="{name}">{extra}</{tag}>'
     for function in functions:
         function.specimen = extra if isinstance(extra, dict) else text

@@ -10,9 +10,8 @@ import numpy as np
 
 from .conditions import Condition
 from .evidence import BIAS, BREAKS, COST, EFFECTS, NOISE, Evidence, Question, Test
-from .kinds import Kind, MatrixKind
 from .maps import FourMaps
-from .mistakes import Guess
+from .mistakes import Guess, Kind, MatrixKind
 
 # Places of a failure that are kept.
 MAX_PLACES = 10
@@ -33,9 +32,6 @@ REPORTED = (
     *("question", "name", "status", "statistic", "mistake", "function", "p_value"),
     *("effect", "share", "minor", "places"),
 )
-
-# Integrators that ask a phase function.
-VOLUMETRIC = "volpath, volpathmis, prbvolpath: all that follow rays through media"
 
 HOLDS, FAILS, UNDECIDED, LACKS = "holds", "fails", "undecided", "lacks"
 
@@ -348,8 +344,6 @@ def properties_of(
     for question in evidence.questions:
         one = _property(evidence, question, level, question.name in allow)
         reached = question.reached(one.effect)
-        if evidence.of_volumes:
-            reached = VOLUMETRIC if one.effect in (BIAS, BREAKS) else ""
         one = replace(one, question=str(question.text), needed=question.needed)
         found.append(replace(one, of_volumes=evidence.of_volumes, integrators=reached))
     return found

@@ -174,9 +174,8 @@ def draw_plane(maps: FourMaps) -> Figure:
     patches = maps.subdivision
     edges = np.degrees(patches.theta_edges)
     edges = np.concatenate([-edges[:0:-1], edges])
-    for axes, (*lines, (_, z)), error in zip(
-        figure.subplots(2, 1), _comparisons(maps), _errors(maps)
-    ):
+    panels = figure.subplots(2, 1), _comparisons(maps), _errors(maps)
+    for axes, (*lines, (_, z)), error in zip(*panels):
         half, ring, sector = _worst(z)
         beyond = (sector + patches.n_phi // 2) % patches.n_phi
         drawn, due, wide = (
@@ -189,9 +188,8 @@ def draw_plane(maps: FourMaps) -> Figure:
             axes.stairs(values, edges, baseline=None, ls=style, label=title)
         axes.axvline(np.degrees(patches.theta[ring]), c="0.6", lw=1, zorder=0)
         side = "illuminated side" if half == 0 else "other side"
-        axes.set_title(
-            f"{side}, azimuth {np.degrees(patches.phi[sector]):.0f}°", fontsize="medium"
-        )
+        azimuth = f"azimuth {np.degrees(patches.phi[sector]):.0f}°"
+        axes.set_title(f"{side}, {azimuth}", fontsize="medium")
         axes.set_xlabel("polar angle in degrees")
         axes.set_ylabel("1/sr")
         axes.legend(frameon=False, fontsize="small")

@@ -27,7 +27,7 @@ from gonio_mi.validation import (
     validate,
 )
 from gonio_mi.validation.checks.frames import JUMP
-from gonio_mi.validation.kinds import Kind, MatrixKind
+from gonio_mi.validation.mistakes import Kind, MatrixKind
 from gonio_mi.validation.reproducers import script
 
 HANDBOOK = sorted(Path(__file__).parents[2].glob("notebooks/reproducers/*.py"))

@@ -278,9 +278,8 @@ class Runs:
 
     def measure(self, seed: int, **settings: Any) -> Record:
         """Record of one measurement; seed 0 is for the reference and first runs."""
-        return measure_whole(
-            self.scene, seed=self.seed + seed, **{**self.settings, **settings}
-        )
+        given = self.settings | settings
+        return measure_whole(self.scene, seed=self.seed + seed, **given)
 
     def point(self, method: Method, level: int, reference: Reference) -> Point:
         """:class:`.curves.Point` of a method at its `level`-th effort."""
@@ -288,9 +287,8 @@ class Runs:
         seconds, squares, claims = [], [], []
         for number in range(self.repeats):
             before = time.process_time()
-            record = self.measure(
-                1 + level * self.repeats + number, **method.settings, **effort
-            )
+            seed = 1 + level * self.repeats + number
+            record = self.measure(seed, **method.settings, **effort)
             seconds.append(time.process_time() - before)
             values, std_err = arrays(record)
             squares.append(np.mean((values - reference.values) ** 2))

@@ -117,9 +117,8 @@ class Curve:
             NaN with fewer than three such points. The standard error is from the
             points' scatter about the line.
         """
-        good = (self.rays >= MIN_RAYS_PER_PATCH * n_patches) & (
-            self.error >= max(least, 1e-9)
-        )
+        good = self.rays >= MIN_RAYS_PER_PATCH * n_patches
+        good &= self.error >= max(least, 1e-9)
         if good.sum() < MIN_POINTS:
             return np.nan, np.nan
         x, y = np.log(self.rays[good]), np.log(self.error[good])
@@ -337,8 +336,7 @@ class Chart:
         for curve in self.curves:
             for p in curve.points:
                 row = (p.rays, p.cpu_seconds, p.error, p.error_std_err, p.claimed)
-                writer.writerow(
-                    (curve.estimator, curve.sampler, *row, int(id(p) in front))
-                )
+                whole = (curve.estimator, curve.sampler, *row, int(id(p) in front))
+                writer.writerow(whole)
         with replacing(path) as stream:
             stream.write(text.getvalue().encode())

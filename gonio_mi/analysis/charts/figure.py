@@ -199,9 +199,8 @@ def _title(chart: Chart, target: float) -> str:
         parts.append("BRDF and BTDF")
     if chart.settings.get("side") == "back":
         parts.append("back side")
-    reference = (
-        f"reference: {chart.reference.source}, error {chart.reference.error:.1g}"
-    )
+    reference = f"reference: {chart.reference.source}"
     advice = f"{chart.advice(target)};  {chart.advice(target / 10)}"
     text = f"{', '.join(parts)}\n{advice}\n{reference}"
+    text += f", error {chart.reference.error:.1g}"
     return text.encode("utf-8", "backslashreplace").decode()

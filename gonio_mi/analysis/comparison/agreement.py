@@ -337,16 +337,10 @@ def _hits_score(mine: Readings, other: Floats, variance: Floats) -> Floats:
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         shape = mean**2 / spread
         p = shape / (shape + mean)
-        below = np.where(
-            spread < 1e-6 * mean,
-            special.pdtr(k, mean),
-            special.betainc(shape, k + 1, p),
-        )
-        above = np.where(
-            spread < 1e-6 * mean,
-            special.pdtrc(np.maximum(k - 1, 0), mean),
-            special.betaincc(shape, np.maximum(k, 1), p),
-        )
+        sure = spread < 1e-6 * mean
+        below = np.where(sure, special.pdtr(k, mean), special.betainc(shape, k + 1, p))
+        poisson = special.pdtrc(np.maximum(k - 1, 0), mean)
+        above = np.where(sure, poisson, special.betaincc(shape, np.maximum(k, 1), p))
     below = np.maximum(below, _fewer_by_chance(mine, other))
     score = two_sided_score(below, np.where(k == 0, 1.0, above))
     # without hits, nothing speaks against a value of 0 or less

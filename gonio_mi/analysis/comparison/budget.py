@@ -66,9 +66,7 @@ class Budget:
             For another ending, or if the file cannot be written.
         """
         check_output(path, (".csv",))
-        columns: dict[str, Any] = {
-            name: getattr(self.comparison, name) for name in POINT
-        }
+        columns: dict[str, Any] = {k: getattr(self.comparison, k) for k in POINT}
         columns |= {name: getattr(self, name) for name in (*SOURCES, "total")}
         columns["z"] = self.comparison.z
         if self.aperture is not None:

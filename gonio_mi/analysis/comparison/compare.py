@@ -209,10 +209,9 @@ def _note_on_azimuths(
             columns = {name: getattr(turned, name)[both] for name in names}
             turned = replace(turned, **columns)
             sets, notes = pair_with_table(records, turned)
-        p_values = judge(sets, table.scale_uncertainty)[3]
-        undecided = left_undecided(
-            sets, table.scale_uncertainty, p_values, alpha, notes
-        )
+        scale = table.scale_uncertainty
+        p_values = judge(sets, scale)[3]
+        undecided = left_undecided(sets, scale, p_values, alpha, notes)
         if not undecided and len(p_values) * min(p_values.values()) >= alpha:
             return [f"{way} would agree"]
     return []

@@ -222,9 +222,7 @@ class Comparison:
                 f"{_pair(point['value'], point['std_err'])}  "
                 f"{_pair(point['other'], point['other_std_err'])}  {point['z']:6.2f}"
             )
-        notes = [
-            f"note: {one}" for one in self.notes if not one.endswith(NO_UNCERTAINTY)
-        ]
+        notes = [f"note: {x}" for x in self.notes if not x.endswith(NO_UNCERTAINTY)]
         return "\n".join([*lines, *notes])
 
 

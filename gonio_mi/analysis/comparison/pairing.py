@@ -114,15 +114,12 @@ def pair_with_table(
             readings = partial(Readings.of, record, k, hemisphere, channel)
             variation = None
             if in_patches and here.any():
-                variation, known = variation_within(
-                    record.subdivision, patch[here], readings
-                )
+                inside = record.subdivision, patch[here]
+                variation, known = variation_within(*inside, readings)
                 coarse[here], here[here] = ~known, known
             if not (n := int(here.sum())):
                 continue
-            columns: dict[str, Any] = {
-                name: getattr(table, name)[here] for name in DIRECTIONS
-            }
+            columns: dict[str, Any] = {k: getattr(table, k)[here] for k in DIRECTIONS}
             sets.append(
                 PointSet(
                     columns | {"channel": np.full(n, record.channels[channel])},
@@ -229,9 +226,8 @@ def _channel(record: Record, table: MeasuredTable, notes: list[str]) -> int:
     if table.channel in names:
         return names.index(table.channel)
     if names == ["Y"] and table.channel is not None:
-        notes.append(
-            f"the record is monochrome: it stands for {table.channel} of the table"
-        )
+        of = f"{table.channel} of the table"
+        notes.append(f"the record is monochrome: it stands for {of}")
     if names == ["Y"] or (table.channel is None and len(names) == 1):
         return 0
     said = "no channel" if table.channel is None else f"channel {table.channel}"
@@ -297,6 +293,8 @@ def pole_angle(theta_o: Floats) -> Floats:
     return np.where(theta_o > 90, 180 - theta_o, theta_o)
 
 
+UNLIKE = "the conditions are not the same, and may change what is measured: "
+
 # What is declared as a setting, or is known of the light. Estimators, samplers, rays
 # and Russian roulette change how well something is known, not what; wavelengths are
 # channels; collectors and hemispheres are compared elsewhere.
@@ -320,12 +318,7 @@ def unlike_conditions(record: Record, other: Record) -> list[str]:
     key = "emitter_digest"
     if mine.get(key) != theirs.get(key) and mine["emitter"] == theirs["emitter"]:
         unlike.append(f"emitters that are both {mine['emitter']}, but not the same")
-    if not unlike:
-        return []
-    return [
-        "the conditions are not the same, and may change what is measured: "
-        + ", ".join(unlike)
-    ]
+    return [UNLIKE + ", ".join(unlike)] if unlike else []
 
 
 def unlike_incident_cone(record: Record, table: MeasuredTable) -> list[str]:
@@ -340,11 +333,8 @@ def unlike_incident_cone(record: Record, table: MeasuredTable) -> list[str]:
         said = f"had a divergence of {known['divergence']:g} degrees"
     else:
         return []
-    return [
-        "the conditions are not the same, and may change what is measured: the light "
-        f"of {table.name} came within {told:g} degrees, that of "
-        f"the record {said}"
-    ]
+    light = f"the light of {table.name} came within {told:g} degrees"
+    return [f"{UNLIKE}{light}, that of the record {said}"]
 
 
 def same_rays(records: Sequence[Record], other: Record | MeasuredTable) -> list[str]:

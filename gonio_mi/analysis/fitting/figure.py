@@ -169,9 +169,8 @@ def _draw_points(
         below.plot(x, left[-1], linewidth=1)
     above.set_title(direction_text(*incident), fontsize="small")
     found = np.abs(np.stack(left))
-    reach = (
-        np.quantile(found[np.isfinite(found)], RESIDUAL_QUANTILE) if some.any() else 1.0
-    )
+    found = found[np.isfinite(found)]
+    reach = np.quantile(found, RESIDUAL_QUANTILE) if some.any() else 1.0
     reach = float(np.clip(1.5 * reach, MIN_HALF_RANGE, 1.0))
     below.set_ylim(-reach, reach)
     below.set_xlabel(axis)

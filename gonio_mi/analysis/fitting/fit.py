@@ -155,10 +155,8 @@ def _found(search: Search) -> tuple[Floats, Floats]:
         covariance = search.covariance(values)
         moved = np.abs(values - before)
         noise = np.nan_to_num(np.sqrt(np.diag(covariance)))
-        if np.all(
-            moved
-            <= np.maximum(MAX_MOVE_STD_ERRS * noise, MAX_REL_MOVE * np.abs(values))
-        ):
+        small = np.maximum(MAX_MOVE_STD_ERRS * noise, MAX_REL_MOVE * np.abs(values))
+        if np.all(moved <= small):
             break
     return values, covariance
 

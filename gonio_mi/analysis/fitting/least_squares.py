@@ -132,9 +132,8 @@ class Search:
         estimate = np.linalg.pinv(jacobian) / self.scales
         total = np.full((len(values), len(values)), np.nan)
         total[np.ix_(free, free)] = 0.0
-        parts = (
-            np.split(array, self._ends, axis=-1) for array in (estimate, self.scales**2)
-        )
+        both = estimate, self.scales**2
+        parts = (np.split(array, self._ends, axis=-1) for array in both)
         for one, part, variances in zip(self.observations, *parts):
             total[np.ix_(free, free)] += one.propagated(part, variances)
         return total
@@ -298,11 +297,9 @@ class FittedModel:
                 f"free must give limits of the colour {one.name} from 0 to 1, got "
                 f"{one.low:g}:{one.high:g}"
             )
-        starts = tuple(start for start in one.starts if low <= start <= high)
-        names = [f"{one.name}.{channel}" for channel in self.channels]
-        return [
-            Parameter(name, starts or ((low + high) / 2,), low, high) for name in names
-        ]
+        inside = tuple(start for start in one.starts if low <= start <= high)
+        parts = inside or ((low + high) / 2,), low, high
+        return [Parameter(f"{one.name}.{channel}", *parts) for channel in self.channels]
 
     def bsdf(self, values: Floats) -> dict[str, Any]:
         """Mitsuba dictionary with these values of the parameters."""

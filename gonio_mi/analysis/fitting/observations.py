@@ -1,7 +1,5 @@
 """Observations of a fit: values of records and tables, and their uncertainties."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any, TypeAlias
 
@@ -133,9 +131,8 @@ class TableObservations:
                 f"({self.table.quantity}), got none"
             )
         if not self.stated:
-            return (
-                np.abs(predicted) + MIN_RELATIVE_VALUE * np.abs(predicted).mean()
-            ) ** 2
+            size = np.abs(predicted)
+            return (size + MIN_RELATIVE_VALUE * size.mean()) ** 2
         # a part of what is predicted: a part of a value that noise made small would
         # give it too much weight
         relative = self.table.uncertainty

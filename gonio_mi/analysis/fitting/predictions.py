@@ -58,10 +58,8 @@ class Predictions:
         ValueError
             If the BSDF is coloured and the measurement, of an rgb variant, is not.
         """
-        parts = [
-            nodes.sums(bsdf)[:, : nm and len(nm)]
-            for nodes, nm in zip(self._nodes, self.passes)
-        ]
+        each = zip(self._nodes, self.passes)
+        parts = [nodes.sums(bsdf)[:, : nm and len(nm)] for nodes, nm in each]
         return self._measured_channels(np.concatenate(parts, axis=-1))
 
     def _measured_channels(self, values: Floats) -> Floats:

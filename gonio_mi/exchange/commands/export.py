@@ -57,9 +57,8 @@ def run(options: Namespace) -> int:
         files.check_output(path, ENDINGS)
     endings = {Path(path).suffix.lower() for path in options.output}
     if options.basis and ".xml" not in endings:
-        raise SettingError(
-            f"--basis applies to .xml files only, got {', '.join(options.output)}"
-        )
+        got = ", ".join(options.output)
+        raise SettingError(f"--basis applies to .xml files only, got {got}")
     spectral = wavelengths_nm(records[0].channels) is not None
     set_variant("llvm_ad_spectral" if spectral else "llvm_ad_rgb")
     said: list[str] = []

@@ -1,7 +1,5 @@
 """From a specimen to a BSDF file: all measurements that it needs, and the file."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from concurrent.futures import Executor
 from os import PathLike

@@ -57,9 +57,8 @@ class Light(NamedTuple):
         held = self.parts[within].sum()
         wanted = f"{MIN_HELD:.0%} of {self.name} light"
         if held < MIN_HELD:
-            raise SettingError(
-                f"wavelengths must hold at least {wanted}, got {held:.1%} {ends}"
-            )
+            got = f"{held:.1%} {ends}"
+            raise SettingError(f"wavelengths must hold at least {wanted}, got {got}")
         between = ~np.isin(self.nm, known)  # measured wavelengths are in no gap
         gaps = np.searchsorted(known, self.nm[between])
         parts = np.bincount(gaps, self.parts[between], len(known) + 1)[1:-1]

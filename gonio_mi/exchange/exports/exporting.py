@@ -227,9 +227,8 @@ def _elements(record: Record, quantity: str, number: int) -> dict[str, Floats]:
         matrices = getattr(record, f"{quantity}_mueller{ending}")
         matrices = matrices if record.stacked else matrices[None]
         of_rows = matrices[:, known, number].reshape(-1, 16)
-        columns |= {
-            f"{prefix}{name}": of_rows[:, i] for i, name in enumerate(ELEMENT_NAMES, 1)
-        }
+        names = [f"{prefix}{name}" for name in ELEMENT_NAMES]
+        columns |= dict(zip(names, of_rows.T[1:]))
     return columns
 
 

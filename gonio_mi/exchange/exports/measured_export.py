@@ -82,13 +82,12 @@ def _written(
     rough = np.flatnonzero(apart > MAX_DIFFERENCE * halves.sum(axis=(1, 2, 3)))
     if rough.size:
         settings = {"collector": patches, "rays": READ_BACK_RAYS, "wavelengths": nm}
+        settings |= {"whole": True, "progress": progress}
         with warnings.catch_warnings():
             # flux that Mitsuba's interpolation adds counts as a loss of the file
             warnings.filterwarnings("ignore", "the BSDF creates light")
             some = [incidents[i] for i in rough]
-            again = measure_each(
-                material, some, whole=True, progress=progress, **settings
-            )
+            again = measure_each(material, some, **settings)
         flux[rough] = again.flux_fraction[:, :1]
     return flux
 

@@ -172,9 +172,8 @@ def read(stream: BinaryIO) -> Scatter:
         turned = np.mod(azimuth + 180, 360)  # here the mirror direction is 0
         order = np.argsort(turned)
         if theta_i < 90 - ANGLE_TOLERANCE:
-            blocks.append(
-                Block(float(theta_i), 0.0, 0, polar, turned[order], grid[:, order])
-            )
+            values = grid[:, order]
+            blocks.append(Block(float(theta_i), 0.0, 0, polar, turned[order], values))
     channels = tuple(f"{nm:.6g}nm" for nm in wavelengths)
     return Scatter(blocks, channels, header)
 

@@ -239,9 +239,9 @@ def read(stream: BinaryIO) -> dict[tuple[str, str], Floats | TensorTree]:
     blocks = {}
     for data in root.iter("WavelengthData"):
         wavelength = data.findtext("Wavelength", "").strip()
-        for block in (
-            data.iter("WavelengthDataBlock") if wavelength in DETECTORS else ()
-        ):
+        if wavelength not in DETECTORS:
+            continue
+        for block in data.iter("WavelengthDataBlock"):
             direction = block.findtext("WavelengthDataDirection", "").strip()
             unknown = f"its WavelengthDataDirection {direction!r:.40} is unknown"
             require(direction in DIRECTIONS.values(), unknown)
@@ -302,9 +302,8 @@ def _data(
     )
     n = KLEMS_BASES[names.pop()].n_patches
     words = text.replace(",", " ").split()
-    require(
-        len(words) == n * n, f"{direction} must hold {n * n} values, got {len(words)}"
-    )
+    reason = f"{direction} must hold {n * n} values, got {len(words)}"
+    require(len(words) == n * n, reason)
     try:
         values = np.array([decimal(word) for word in words]).reshape(n, n)
     except ValueError as error:

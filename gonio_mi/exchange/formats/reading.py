@@ -29,19 +29,16 @@ HEAD_BYTES = 100_000
 @functools.cache
 def _all() -> tuple[Format, ...]:
     """Formats that the modules beside this one list."""
-    package = __package__ or ""
-    names = sorted(
-        one.name for one in pkgutil.iter_modules([str(Path(__file__).parent)])
-    )
+    package, here = __package__ or "", str(Path(__file__).parent)
+    names = sorted(one.name for one in pkgutil.iter_modules([here]))
     modules = [importlib.import_module(f"{package}.{name}") for name in names]
     return tuple(one for module in modules for one in getattr(module, "FORMATS", ()))
 
 
 def endings_of(can: str) -> tuple[str, ...]:
     """Endings of formats that have a part of `Format`, such as ``"scatter"``."""
-    return tuple(
-        dict.fromkeys(e for one in _all() if getattr(one, can) for e in one.endings)
-    )
+    able = [one for one in _all() if getattr(one, can)]
+    return tuple(dict.fromkeys(e for one in able for e in one.endings))
 
 
 def lost_in_each() -> str:

@@ -71,9 +71,8 @@ class Block:
                 good and low <= angles[0] and angles[-1] <= high,  # and so finite
                 f"its {name} angles must ascend within [{low}, {high}] degrees",
             )
-        require(
-            np.ptp(self.azimuth) <= 360 * (1 + 1e-9), "its azimuths exceed a full turn"
-        )
+        turn = np.ptp(self.azimuth)
+        require(turn <= 360 * (1 + 1e-9), "its azimuths exceed a full turn")
         reason = "a block of its values has another shape than its angles"
         require(self.values.shape[:2] == (len(self.polar), len(self.azimuth)), reason)
         require(bool(np.isfinite(self.values).all()), "a value is not finite")

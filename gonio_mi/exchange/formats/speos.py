@@ -93,10 +93,9 @@ def _read_anisotropic(rows: Lines, header: dict[str, str]) -> Scatter:
     directions = {}
     for hemisphere in hemispheres:
         angles = rows.counted_numbers()
-        directions[hemisphere] = [
-            (a, t) for a in angles for t in rows.counted_numbers()
-        ]
-        check_size(len(directions[hemisphere]))
+        pairs = [(a, t) for a in angles for t in rows.counted_numbers()]
+        check_size(len(pairs))
+        directions[hemisphere] = pairs
     spectra = {}
     for hemisphere in hemispheres:
         reference = rows.numbers(2)
@@ -119,9 +118,8 @@ def _read_anisotropic(rows: Lines, header: dict[str, str]) -> Scatter:
         # an anisotropy angle of 360 is that of 0 again
         once = {(block.phi_i, block.theta_i): block for block in reversed(unscaled)}
         scale = percentages * _scale(list(once.values()), reference)
-        blocks += [
-            replace(once[key], values=once[key].values * scale) for key in sorted(once)
-        ]
+        for key in sorted(once):
+            blocks.append(replace(once[key], values=once[key].values * scale))
     header = header | {"anisotropy vector": " ".join(map(str, vector))}
     return _scatter(nm, blocks, header, kind)
 
@@ -175,9 +173,8 @@ def _joined(parts: Sequence[Block]) -> Block:
         alike = alike and np.array_equal(part.azimuth, first.azimuth)
         values.append(part.values if alike else part.at(wo))
     totals: list[Any] = [part.total for part in parts]
-    return replace(
-        first, values=np.concatenate(values, axis=-1), total=np.concatenate(totals)
-    )
+    whole = np.concatenate(values, axis=-1)
+    return replace(first, values=whole, total=np.concatenate(totals))
 
 
 def _scatter(

@@ -197,11 +197,9 @@ def _without_coverage(name: str) -> tuple[str, float, str]:
         percent = match["U_percent"] or match["percent"]
         if percent and not re.search(r"[\[(]", before):
             rest, unclear = f"{rest}% ", "?"
-        factor = SIGMAS_OF_LEVEL[number] if level else float(number)
-        text, coverage = (
-            f"{before}{rest}{after}",
-            coverage if level and coverage else factor,
-        )
+        text = f"{before}{rest}{after}"
+        if not (level and coverage):
+            coverage = SIGMAS_OF_LEVEL[number] if level else float(number)
     return text, coverage, unclear
 
 
@@ -209,9 +207,8 @@ def _without_unit(text: str) -> tuple[str, str]:
     """Name without its unit: in brackets, after a slash, a comma or at the end."""
     found = ""
     for group in re.findall(r"[\[(][^\[\]()]*(?:\([^()]*\)[^\[\]()]*)?[\])]", text):
-        parts = [
-            unit_of(part) for part in re.split("[,;]", group) if part.strip("[()] ")
-        ]
+        words = filter(lambda x: x.strip("[()] "), re.split("[,;]", group))
+        parts = [*map(unit_of, words)]
         if all(parts):
             text = text.replace(group, " ", 1).rstrip()
             found = found or "".join(parts[:1])

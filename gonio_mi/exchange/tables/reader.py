@@ -163,9 +163,8 @@ class _Reading:
         self.notes += notes
         if not self.own and quantity == "btdf" and (angles["theta_o"] <= 90).all():
             angles["theta_o"] = 180 - angles["theta_o"]
-            self.notes.append(
-                "theta_o of transmission counts from the normal of the other face"
-            )
+            note = "theta_o of transmission counts from the normal of the other face"
+            self.notes.append(note)
         self._check_ranges(columns | angles, quantity)
         if self.channel is not None:
             self.settings.setdefault("channel", self.channel)
@@ -182,9 +181,8 @@ class _Reading:
     def _assign(self, role: str, word: str) -> None:
         """Take a column, or a number, for the role that the user specifies."""
         if role not in ROLES:
-            raise SettingError(
-                f"columns must name {', '.join(ROLES)}, got {shown(role)}"
-            )
+            known = ", ".join(ROLES)
+            raise SettingError(f"columns must name {known}, got {shown(role)}")
         names = [own.strip().lower() for own in self.text.names]
         whole = word.strip().lower() in names
         name, _, suffix = (word, "", "") if whole else word.partition(":")

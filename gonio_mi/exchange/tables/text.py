@@ -91,9 +91,8 @@ def split_text(
         raise FileFormatError(f"{path} is empty: it has no line of column names")
     first = next((i for i, (_, text) in enumerate(lines) if is_row(text)), len(lines))
     candidates = [*comments, *lines[: min(first, MAX_TITLES)]]
-    n_known, number, delimiter = _best_names(
-        candidates, lines[first : first + 1], known
-    )
+    row = lines[first : first + 1]
+    n_known, number, delimiter = _best_names(candidates, row, known)
     for i in range(min(first, len(lines) - 1, MAX_TITLES)):
         if matrix := _matrix(place, lines[i:]):
             return replace(matrix, comments=comments, titles=lines[:i])

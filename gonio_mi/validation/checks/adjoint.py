@@ -1,7 +1,5 @@
 """Radiance and importance mode are adjoint to each other."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import mitsuba as mi
@@ -9,8 +7,7 @@ import numpy as np
 
 from ...array_types import Flags
 from ..evidence import BIAS, BREAKS, FROM_LIGHTS, Evidence, Question
-from ..kinds import Kind
-from ..mistakes import EVAL, SAMPLE, Guess, Mistake
+from ..mistakes import EVAL, SAMPLE, Guess, Kind, Mistake
 from ..samples import beyond_rounding, samples_of, unequal
 from .delta import Lobe
 from .reciprocity import BothWays, is_constant, ratio_text
@@ -35,9 +32,6 @@ class Adjoint(Mistake):
     LACKS_ETA2 = "{who} lacks 1/eta^2 in radiance mode"
     ALIKE = """{who} is the same in both modes: 1/eta^2 is missing in radiance mode, or
         there in importance mode"""
-    FACTOR_OF_RADIANCE = """{who} of radiance mode is {factor:.4g} times the expected
-        one for wi on the {side}"""
-    RATIO = "{who} of the modes has the ratio {ratio:.4g}, where 1 is expected"
     NOT_SWAPPED = """{who} of radiance mode is not that of importance mode with wi and
         wo swapped"""
     WEIGHT_LACKS_ETA2 = "{who} weight lacks 1/eta^2 in radiance mode"
@@ -53,11 +47,9 @@ def check_ways(evidence: Evidence, ways: BothWays) -> None:
     eta^2, there is nothing to add. Where importance mode is reciprocal, that ratio is
     eta^2 from either side.
     """
-    samples, eta2 = ways.samples, ways.eta2
-    slack = ways.slack * (1 + eta2)
-    here = unequal(
-        samples.eval, eta2 * samples.other_mode, samples.eval_slack * (1 + eta2)
-    )
+    samples, eta2, times = ways.samples, ways.eta2, 1 + ways.eta2
+    slack = ways.slack * times
+    here = unequal(samples.eval, eta2 * samples.other_mode, samples.eval_slack * times)
     there = unequal(eta2 * ways.backward, ways.adjoint, slack)
     reciprocal = ~unequal(ways.forward, eta2 * ways.backward, slack)
     wrong = unequal(ways.forward, ways.adjoint, slack)
@@ -78,11 +70,8 @@ def _guess_of_wavelengths(ways: BothWays, wrong: Flags) -> Guess | None:
     """
     samples = ways.samples
     first = unequal(ways.forward[:, 0], ways.adjoint[:, 0], ways.slack[:, 0])
-    if (
-        not mi.is_spectral
-        or beyond_rounding(first & wrong)
-        or samples.reflected[wrong].any()
-    ):
+    others = not beyond_rounding(first & wrong) and not samples.reflected[wrong].any()
+    if not (mi.is_spectral and others):
         return None
     by_way, by_mode = (
         np.median(here[wrong] / np.maximum(other[wrong], 1e-30), axis=0)
@@ -108,10 +97,6 @@ def _guess(ways: BothWays, wrong: Flags, of_radiance: bool) -> Guess:
                 return Adjoint.LACKS_ETA2(EVAL)
             if abs(middle * eta2 - 1) < 1e-3 or abs(middle / eta2 - 1) < 1e-3:
                 return Adjoint.ALIKE(EVAL)
-            if of_radiance:
-                side = {"front": "back", "back": "front"}[ways.samples.condition.side]
-                return Adjoint.FACTOR_OF_RADIANCE(EVAL, factor=1 / middle, side=side)
-            return Adjoint.RATIO(EVAL, ratio=middle)
     return Adjoint.NOT_SWAPPED(EVAL)
 
 

@@ -15,8 +15,7 @@ from ...array_types import Flags, Floats, Numbers
 from ...collector.directions import direction
 from ..conditions import POSITION, TURN
 from ..evidence import ALL, BIAS, INTERFACE, MIN_RANDOM, NOISE, Evidence, Question
-from ..kinds import Kind
-from ..mistakes import EVAL, PDF, SAMPLE, Function, Guess, Mistake
+from ..mistakes import EVAL, PDF, SAMPLE, Function, Guess, Kind, Mistake
 from ..probe import Probe, numbers, spectral, vectors
 from ..samples import Samples, beyond_rounding, means_differ, unequal
 
@@ -213,10 +212,8 @@ def _turned_answer(
             for name, axes in (("to_local", TURN), ("to_world", TURN.T)):
                 # a mask may ask for the side of either
                 alike = usable & ((wo @ axes)[:, 2] * wo[:, 2] > 0)
-                other = unequal(ask(wo @ axes), here, slack)
-                if beyond_rounding(alike & wrong) and not beyond_rounding(
-                    other & alike
-                ):
+                other = beyond_rounding(unequal(ask(wo @ axes), here, slack) & alike)
+                if beyond_rounding(alike & wrong) and not other:
                     return Answers.APPLIES_A_TRANSFORM(function, transform=name), wrong
             return Answers.MIXES_COORDINATES(function), wrong
     bs, weight = probe.sample(*samples.random)
@@ -243,42 +240,37 @@ def asked_again(
     In the order of the numbers `i`, of as many as there are; the last tell. Without
     slack if they are to be `exact`, for a slack has what earlier calls changed.
     """
-    slacks = samples.eval_slack, samples.pdf_slack[:, None]
-    if exact:
-        slacks = 0 * slacks[0], 0 * slacks[1]
+    times = 0 if exact else 1
+    slacks = times * samples.eval_slack, times * samples.pdf_slack[:, None]
     if i is None:
         i = dr.arange(mi.UInt32, samples.n)
     n, kept = dr.width(i), min(dr.width(i), samples.n)
     last = dr.arange(mi.UInt32, kept) + (n - kept)
-    wi, wo, u = (
-        dr.gather(mi.Vector3f, vectors(x), i)
-        for x in (samples.wi, samples.wo, samples.u)
-    )
+    given = samples.wi, samples.wo, samples.u
+    wi, wo, u = (dr.gather(mi.Vector3f, vectors(x), i) for x in given)
     dr.make_opaque(wi, wo, u)
 
     def end(answer: Any) -> Floats:
         """Of the last samples, shape (kept, ...)."""
-        whole = answer + dr.zeros(type(answer), n)
-        found = dr.gather(type(answer), whole, last)
-        if isinstance(answer, mi.Float):
-            return numbers(found, kept)[:, None].astype(float)
-        return spectral(found, kept)
+        kind = type(answer)
+        found = dr.gather(kind, answer + dr.zeros(kind, n), last)
+        return spectral([found] if kind is mi.Float else found, kept)
 
     probe.of_lanes(i)
     bs, weight = probe.sample(u.x, mi.Point2f(u.y, u.z), wi=wi)
     own = numbers(dr.gather(mi.UInt32, i, last), kept)
-    given, usable = samples.given[own], samples.usable[own]
+    lit, usable = samples.given[own], samples.usable[own]
     differs = {
         EVAL: unequal(end(probe.eval(wo, wi=wi)), samples.eval[own], slacks[0][own]),
         PDF: unequal(end(probe.pdf(wo, wi=wi)), samples.pdf[own, None], slacks[1][own]),
-        SAMPLE: unequal(end(weight), samples.weight[own], 0.0) & given
+        SAMPLE: unequal(end(weight), samples.weight[own], 0.0) & lit
         | unequal(end(bs.pdf), samples.sampled_pdf[own, None], slacks[1][own]) & usable
         | _displaced(end(bs.wo), samples.wo[own]) & usable,
     }
     found = {}
     for function, wrong in differs.items():
         mask = np.zeros(samples.n, dtype=bool)
-        mask[own] = wrong & (given if function is SAMPLE else usable)
+        mask[own] = wrong & (lit if function is SAMPLE else usable)
         if beyond_rounding(mask[own]):
             found[function] = mask
     return found

@@ -9,8 +9,7 @@ import numpy as np
 
 from ...array_types import Flags, Floats
 from ..evidence import INTERFACE, SAME, Evidence, Question
-from ..kinds import Kind
-from ..mistakes import EVAL, PDF, SAMPLE, Guess, Mistake
+from ..mistakes import EVAL, PDF, SAMPLE, Guess, Kind, Mistake
 from ..probe import Probe, is_delta, numbers, spectral
 from ..samples import Samples, beyond_rounding, unequal
 from .answers import LOBES
@@ -78,13 +77,12 @@ def _check_discrete(evidence: Evidence, samples: Samples, each: Alone) -> None:
         flux = samples.flux[own]
         whole = _median(flux)
         several = unequal(flux, np.broadcast_to(whole, flux.shape), 0.0).any()
-        if not several and unequal(whole[None], due[None], 0.0)[0]:
-            guess = Components.OTHER_LOBE(SAMPLE, component=i)
-            text = (
-                f"{due.max():.4g} of the light alone, {whole.max():.4g} in the whole,"
-            )
-            how = {"found": text, "kind": Kind.LOBE_OF_A_COMPONENT, "about": str(i)}
-            evidence.breach(COMPONENTS, guess, samples.condition, **how)
+        if several or not unequal(whole[None], due[None], 0.0)[0]:
+            continue
+        guess = Components.OTHER_LOBE(SAMPLE, component=i)
+        text = f"{due.max():.4g} of the light alone, {whole.max():.4g} in the whole,"
+        how = {"found": text, "kind": Kind.LOBE_OF_A_COMPONENT, "about": str(i)}
+        evidence.breach(COMPONENTS, guess, samples.condition, **how)
 
 
 def are_apart(bsdf: mi.BSDF, samples: Samples, each: Alone) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..conditions import FIELDS, Effort, Sweep
 from ..evidence import BIAS, MAX_P, Evidence
-from ..kinds import Kind
+from ..mistakes import Kind
 from ..probe import Probe, numbers, spectral
 from ..samples import Samples, beyond_rounding, samples_of, unequal
 from . import answers, cost, sampling
@@ -115,7 +115,7 @@ def check_again(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> None:
     key = (evidence.seed, 1, 0)  # with which those were drawn
     cost.check_compiled(evidence, first.condition, plan.checked, key)
     check_memory(evidence, exact=True)
-    if not _are_biased(evidence):
+    if not any(breach.effect == BIAS for breach in evidence.of("answers")):
         swept, number = evidence.sweeps[0], Kind.OTHER_IN_ANOTHER_NUMBER
         backwards = swept.n - 1 - dr.arange(mi.UInt32, swept.n)
         order = mistakes.OF_ORDER, Kind.OTHER_IN_ANOTHER_PLACE
@@ -126,11 +126,6 @@ def check_again(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> None:
             i = dr.arange(mi.UInt32, n) % SAME
             answers.check_same(evidence, swept, mistakes.OF_NUMBER, number, i)
     answers.check_frames(evidence)
-
-
-def _are_biased(evidence: Evidence) -> bool:
-    """Whether answers are known to be wrong."""
-    return any(breach.effect == BIAS for breach in evidence.of("answers"))
 
 
 def check_memory(evidence: Evidence, exact: bool = False) -> None:

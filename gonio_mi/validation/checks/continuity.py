@@ -1,15 +1,12 @@
 """Continuous at normal incidence, non-zero up to grazing angles."""
 
-from __future__ import annotations
-
 import mitsuba as mi
 import numpy as np
 
 from ...collector.directions import direction
 from ..conditions import PHI, Condition
 from ..evidence import MODEL, Evidence, Question
-from ..kinds import Kind
-from ..mistakes import EVAL, PDF, Mistake
+from ..mistakes import EVAL, PDF, Kind, Mistake
 from ..probe import Probe, spectral, uniform, vectors
 from ..samples import ULPS, Samples
 

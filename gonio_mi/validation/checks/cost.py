@@ -104,9 +104,7 @@ def check_time(evidence: Evidence, condition: Condition) -> None:
     """Remark on the time per ray, relative to the most similar BSDF of Mitsuba."""
     name, other = _closest(int(evidence.bsdf.flags()))
     if evidence.bsdf.class_name() == other.class_name():
-        evidence.remark(
-            "cost", "it is the reference that others' times are compared with"
-        )
+        evidence.remark("cost", "it is what the times of others are compared with")
         return
     own, ratio = compared(_call(evidence.bsdf, condition), _call(other, condition))
     text = (

@@ -1,7 +1,5 @@
 """Discrete lobes have one direction, weight and probability."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import mitsuba as mi
@@ -11,8 +9,7 @@ from scipy import special
 from ...array_types import Flags, Floats
 from ...single_precision import BSDF_ROUNDING
 from ..evidence import BIAS, MODEL, SAMPLED, Evidence, Question
-from ..kinds import Kind
-from ..mistakes import SAMPLE, Function, Mistake
+from ..mistakes import SAMPLE, Function, Kind, Mistake
 from ..probe import Probe
 from ..samples import Samples, beyond_rounding
 

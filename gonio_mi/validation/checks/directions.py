@@ -1,17 +1,13 @@
 """Sampled directions are unit vectors on the side of their type."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import mitsuba as mi
 import numpy as np
 
-from ...array_types import Flags
 from ...single_precision import BSDF_ROUNDING
 from ..evidence import BIAS, INTERFACE, NOISE, SAMPLED, Evidence, Question
-from ..kinds import Kind
-from ..mistakes import SAMPLE, Mistake
+from ..mistakes import SAMPLE, Kind, Mistake
 from ..samples import Samples, beyond_rounding, unequal
 from .reciprocity import MAX_OFF, BothWays, is_constant
 
@@ -58,7 +54,9 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
     beside |= np.abs(samples.wi[:, 2]) < BSDF_ROUNDING
     one_way = reflects & ~transmits & ~samples.reflected & ~beside
     other_way = transmits & ~reflects & samples.reflected & ~beside
-    agreed = _agreed(samples)
+    # `eval` is weight times pdf: integrators only ask whether a type is discrete
+    agreed = ~unequal(samples.flux, samples.eval, samples.eval_slack)
+    agreed &= (samples.eval > 0).any(axis=1)
     bent = reflects & ~(np.abs(samples.eta - 1) < BSDF_ROUNDING) & ~transmits
     too_long = np.abs(length - 1) > BSDF_ROUNDING
     side, eta = Kind.DIRECTIONS, Kind.ETA_OF_REFLECTION
@@ -113,12 +111,3 @@ def check_eta(evidence: Evidence, ways: BothWays) -> BothWays:
     text += f"{due**0.5:.4g},"
     evidence.breach(DIRECTIONS, mistake(SAMPLE), samples, through, found=text, **how)
     return replace(ways, eta2=np.where(samples.reflected[:, None], 1.0, due))
-
-
-def _agreed(samples: Samples) -> Flags:
-    """Mask of samples for which ``eval`` is weight times pdf, and not 0.
-
-    A wrong type does them no harm: integrators only ask whether it is discrete.
-    """
-    lit = (samples.eval > 0).any(axis=1)
-    return lit & ~unequal(samples.flux, samples.eval, samples.eval_slack)

@@ -1,7 +1,5 @@
 """Finite at the ends: horizon, normal, random numbers, roughness."""
 
-from __future__ import annotations
-
 from collections.abc import Generator, Sequence
 from itertools import product
 from typing import Any
@@ -15,8 +13,7 @@ from ...single_precision import BSDF_ROUNDING
 from ...transport.bsdf_trial import PluginFault
 from ..conditions import Condition
 from ..evidence import BIAS, INTERFACE, SAME, Evidence, Question
-from ..kinds import Kind
-from ..mistakes import EVAL, PDF, SAMPLE, Function, Mistake
+from ..mistakes import EVAL, PDF, SAMPLE, Function, Kind, Mistake
 from ..probe import (
     Probe,
     changed,

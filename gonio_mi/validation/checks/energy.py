@@ -1,7 +1,5 @@
 """No more flux leaves than arrives."""
 
-from __future__ import annotations
-
 import mitsuba as mi
 import numpy as np
 from scipy import special
@@ -33,9 +31,9 @@ def _guess(evidence: Evidence) -> Guess:
     if own and any(discrete) and not gains:
         return own[0]
     function, most = SAMPLE if gains else EVAL, max(totals, default=1.0)
-    if most < 1:  # a phase function, which absorbs nothing
-        return Energy.NOT_CONSERVED(function, found=f"albedo {min(totals):.4g}")
-    return Energy.NOT_CONSERVED(function, found=f"albedo {most:.4g}")
+    # a phase function absorbs nothing
+    albedo = min(totals) if most < 1 else most
+    return Energy.NOT_CONSERVED(function, found=f"albedo {albedo:.4g}")
 
 
 ENERGY = Question(
@@ -124,11 +122,8 @@ def check_gain(evidence: Evidence, lobes: Lobes) -> None:
         z = (mean - 1 - ROUNDING) / max(std_err, ROUNDING / 4)
         text = f"{mean:.4g} of the flux of {_named(state)} leaves"
         p_value = float(special.stdtr(half - 1, -z))
-        how = {
-            "off": max(0.0, mean - 1),
-            "guess": Energy.NOT_CONSERVED(function, found=text),
-        }
-        evidence.test(ENERGY, p_value, text, condition, **how)
+        guess, off = Energy.NOT_CONSERVED(function, found=text), max(0.0, mean - 1)
+        evidence.test(ENERGY, p_value, text, condition, off=off, guess=guess)
 
 
 def _discrete(rows: Floats, pdf: Floats, delta: Flags) -> Floats:

@@ -1,15 +1,12 @@
 """`eval_pdf` answers as `eval` and `pdf`."""
 
-from __future__ import annotations
-
 import mitsuba as mi
 import numpy as np
 
 from ...array_types import Floats
 from ...single_precision import BSDF_ROUNDING
 from ..evidence import BIAS, INTERFACE, SAME, Evidence, Question
-from ..kinds import Kind
-from ..mistakes import Function, Mistake
+from ..mistakes import Function, Kind, Mistake
 from ..probe import Probe, numbers, spectral, vectors
 from ..samples import Samples, beyond_rounding, ratio_of, unequal
 from .answers import lattice

@@ -57,10 +57,8 @@ def check_first_element(
             bsdf = load()
             plain = [_ask(bsdf, *own, random) for own in answers]
     except (SettingError, PluginFault, ImportError, RuntimeError) as error:
-        text = (
-            f"the plugin failed in {variant}, where it must be registered too: {error}"
-        )
-        evidence.undecided["first_element"] = text
+        text = f"the plugin failed in {variant}, where it must be registered too"
+        evidence.undecided["first_element"] = f"{text}: {error}"
         return
     for (values, lobes), (value, flux, types) in zip(answers, plain):
         same_lobe = lobes.delta & (lobes.type == types)

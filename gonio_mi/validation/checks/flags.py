@@ -1,8 +1,5 @@
 """Flags declare the observed behaviour."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
 
 import mitsuba as mi
@@ -11,8 +8,7 @@ import numpy as np
 from ...array_types import Floats
 from ..conditions import Condition
 from ..evidence import BIAS, INTERFACE, SAME, Evidence, Question
-from ..kinds import Kind
-from ..mistakes import EVAL, FLAGS, SAMPLE, Mistake
+from ..mistakes import EVAL, FLAGS, SAMPLE, Kind, Mistake
 from ..probe import Probe
 from ..samples import Samples, beyond_rounding, samples_of, unequal
 from . import sampling, weights
@@ -35,7 +31,6 @@ class Declared(Mistake):
     TYPE = "{who} does not declare {names}, which `sample` draws"
     COMPONENT = """`sample` names component {last}, where `flags` declares {known}: one
         of them is wrong{hint}"""
-    NO_COMPONENT = "`sample` names component {last}, where `flags` declares none{hint}"
     TYPE_OF_COMPONENT = """`sample` gives component {component} a type that its `flags`
         lack: one of them is wrong"""
     SIDE = "light from the {side} is scattered though `flags` does not declare it"
@@ -43,6 +38,10 @@ class Declared(Mistake):
     NOT_ISOTROPIC = """{who} declares Isotropic alone, but `eval` depends on the
         direction"""
     NOTHING = "{who} declares no kind of scattering"
+
+
+# A turn about the normal.
+TURN = np.array([[0.6, -0.8, 0], [0.8, 0.6, 0], [0, 0, 1]])
 
 
 @DECLARED.asks("bsdf")
@@ -53,9 +52,7 @@ def check_bsdf(evidence: Evidence) -> None:
         return
     bsdf = evidence.bsdf
     flags, n = int(bsdf.flags()), bsdf.component_count()
-    union = 0
-    for i in range(n):
-        union |= int(bsdf.flags(i))
+    union = int(np.bitwise_or.reduce([0, *(int(bsdf.flags(i)) for i in range(n))]))
     if union & ~flags:
         text = f"{_names(union & ~flags)} of a component only"
         evidence.breach(DECLARED, Declared.OF_A_COMPONENT(FLAGS), found=text)
@@ -90,8 +87,8 @@ def _check_declared(evidence: Evidence, samples: Samples) -> bool:
         hint = ""
         if last < n + len(LOBES):  # else it is no component that was added
             hint = "; m_components must be assigned, to append to it has no effect"
-        mistake = Declared.COMPONENT if n else Declared.NO_COMPONENT
-        guess = mistake(FLAGS | SAMPLE, last=last, known=f"{n} from 0 on", hint=hint)
+        fields = {"last": last, "known": f"{n} from 0 on" if n else "none"}
+        guess = Declared.COMPONENT(FLAGS | SAMPLE, hint=hint, **fields)
         text = f"component {last}, of {n} that are declared"
         evidence.breach(DECLARED, guess, samples.condition, statistic=text)
         return True
@@ -138,53 +135,33 @@ def check_sides(evidence: Evidence) -> None:
     if not any(samples.given.any() for samples in evidence.samples):
         return
     samples = samples_of(bsdf, base, 2**12, (evidence.seed, 32))
-    turned = flags & int(all_flags.Anisotropic)
-    given = bsdf.needs_differentials()
-    for name, declared, change, kind in (
-        ("Anisotropic", turned, _turn, Kind.ANISOTROPIC),
-        ("NeedsDifferentials", given, _differentiate, Kind.DIFFERENTIALS),
+    turned = flags & int(all_flags.Anisotropic), base.lit_from(TURN @ base.wi)
+    given = bsdf.needs_differentials(), replace(base, differentials=True)
+    for name, (declared, condition), wo, kind in (
+        ("Anisotropic", turned, samples.wo @ TURN.T, Kind.ANISOTROPIC),
+        ("NeedsDifferentials", given, samples.wo, Kind.DIFFERENTIALS),
     ):
-        share = 0.0 if declared else _changed(evidence, samples, change)
+        share = 0.0 if declared else _changed(evidence, samples, condition, wo)
         if share:
             text = f"`eval` changes for {share:.3g} of them"
             guess = Declared.DEPENDENCE(FLAGS, name=name)
             evidence.breach(DECLARED, guess, base, statistic=text, kind=kind)
-    if not flags & int(all_flags.SpatiallyVarying) and _changed(
-        evidence, samples, _move
-    ):
+    there = replace(base, uv=(0.15, 0.7)), samples.wo
+    varies = flags & int(all_flags.SpatiallyVarying)
+    if not varies and _changed(evidence, samples, *there):
         text = "`eval` depends on uv without SpatiallyVarying, as Mitsuba's own do"
         evidence.remark("flags", text)
 
 
 def _changed(
-    evidence: Evidence, samples: Samples, change: Callable[[Probe, Floats], Floats]
+    evidence: Evidence, samples: Samples, condition: Condition, wo: Floats
 ) -> float:
-    """Fraction of samples for which `change` changes ``eval``; 0 if they are few."""
-    probe = Probe(evidence.bsdf, samples.condition)
-    value = probe.values(change(probe, samples.wo))
+    """Fraction of samples whose ``eval`` is another one there; 0 if they are few."""
+    value = Probe(evidence.bsdf, condition).values(wo)
     if evidence.by_chance(value, samples.eval, samples.wo):
         return 0.0
     differs = unequal(value, samples.eval, samples.eval_slack) & samples.smooth
     return float(differs.mean()) if beyond_rounding(differs) else 0.0
-
-
-def _turn(probe: Probe, wo: Floats) -> Floats:
-    """Turn both directions about the normal."""
-    turn = np.array([[0.6, -0.8, 0], [0.8, 0.6, 0], [0, 0, 1]])
-    probe.wi = mi.Vector3f((turn @ probe.condition.wi).tolist())
-    return wo @ turn.T
-
-
-def _move(probe: Probe, wo: Floats) -> Floats:
-    """Move to another place of the texture."""
-    probe.uv = mi.Point2f(0.15, 0.7)
-    return wo
-
-
-def _differentiate(probe: Probe, wo: Floats) -> Floats:
-    """Give rays differentials."""
-    probe.differentials = True
-    return wo
 
 
 def _names(flags: int) -> str:

@@ -1,9 +1,6 @@
 """Matrices turn with the directions, without jumps."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from typing import Any
 
 import mitsuba as mi
@@ -13,8 +10,7 @@ from ...array_types import Flags, Floats, Numbers
 from ...collector.stokes import plane_axis, reframed, turn
 from ..conditions import TURN
 from ..evidence import BIAS, POLARISING, SAME, Evidence, Question
-from ..kinds import MatrixKind
-from ..mistakes import EVAL, Mistake
+from ..mistakes import EVAL, MatrixKind, Mistake
 from ..mueller import Matrices, Reading, is_identity, off, per_light, readings
 from ..samples import beyond_rounding
 from .matrices import ROUNDING
@@ -64,88 +60,82 @@ BORDERS: dict[str, Callable[[Floats], Floats]] = {
 }
 
 
-@dataclass(frozen=True)
-class Turned:
-    """Pairs of directions that are turned together about the surface's normal.
-
-    Attributes
-    ----------
-    matrices : Matrices
-        Of shape (pairs, angles).
-    slack : ndarray, shape (pairs, angles)
-        What rounding may leave of elements over the first one.
-    normal : ndarray, shape (3,)
-    nested : ndarray, shape (3, 3), or None
-        Axes of a nested BSDF.
-    """
-
-    matrices: Matrices
-    slack: Floats
-    normal: Numbers
-    nested: Numbers | None
-
-    def select(self, mask: Flags) -> Turned:
-        """Return the pairs that the mask selects."""
-        return replace(self, matrices=self.matrices.take(mask), slack=self.slack[mask])
-
-    def misfit(self, in_plane: Floats) -> Floats:
-        """Largest change of elements over the first one with the angle, by pair."""
-        m = per_light(in_plane)
-        return off(m, m.mean(axis=1, keepdims=True)).max(axis=1)
-
-
-def check_turned(evidence: Evidence, turned: Turned) -> None:
+def check_turned(
+    evidence: Evidence,
+    matrices: Matrices,
+    slack: Floats,
+    normal: Numbers,
+    nested: Numbers | None,
+) -> None:
     """Check that the matrix does not depend on a common azimuth, unless anisotropic.
 
     For an anisotropic surface, it is a mistake only if another reading of the matrices
     makes them independent of the azimuth.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    matrices : Matrices
+        Of shape (pairs, angles): both directions are turned about the normal.
+    slack : ndarray, shape (pairs, angles)
+        What rounding may leave of elements over the first one.
+    normal : ndarray, shape (3,)
+        Of the surface.
+    nested : ndarray, shape (3, 3), or None
+        Axes of a nested BSDF.
     """
-    if not len(turned.matrices.wi):
+    if not len(matrices.wi):
         return
-    misfit = turned.misfit(turned.matrices.in_plane(turned.normal))
-    wrong = misfit > 2 * turned.slack.max(axis=1)
+    misfit = _misfit(matrices.in_plane(normal))
+    wrong = misfit > 2 * slack.max(axis=1)
     if not wrong.any():
         return
     worst = int(np.argmax(np.where(wrong, misfit, 0)))
-    mistake = _explained(turned.select(wrong), misfit[wrong])
+    mistake = _explained(matrices.take(wrong), misfit[wrong], normal, nested)
     declared = int(evidence.bsdf.flags()) & int(mi.BSDFFlags.Anisotropic)
-    light = turned.matrices.light
+    light = matrices.light
     same_light = (np.ptp(light, axis=1) <= SAME_LIGHT * light.max(axis=1)).all()
     if mistake is None and (declared or not same_light):
-        evidence.remark(
-            "frames", "anisotropic, so that only jumps of its frames are seen"
-        )
+        text = "anisotropic, so that only jumps of its frames are seen"
+        evidence.remark("frames", text)
         return
-    guess = (mistake or Frames.OF_AZIMUTH)(turned.matrices.function, mode="")
+    guess = (mistake or Frames.OF_AZIMUTH)(matrices.function, mode="")
     text = f"elements over the first change by up to {misfit[worst]:.3g} where both "
     text += "directions turn about the normal,"
     how: dict[str, Any] = {"size": float(misfit[worst]), "off": float(wrong.mean())}
-    how |= {"found": text, "about": str(turned.normal.round(9).tolist())}
-    evidence.breach(FRAMES, guess, turned.matrices.condition((worst, 0)), **how)
+    how |= {"found": text, "about": str(normal.round(9).tolist())}
+    evidence.breach(FRAMES, guess, matrices.condition((worst, 0)), **how)
 
 
-def _explained(turned: Turned, misfit: Floats) -> Reading | None:
+def _misfit(in_plane: Floats) -> Floats:
+    """Largest change of elements over the first one with the angle, by pair."""
+    m = per_light(in_plane)
+    return off(m, m.mean(axis=1, keepdims=True)).max(axis=1)
+
+
+def _explained(
+    matrices: Matrices, misfit: Floats, normal: Numbers, nested: Numbers | None
+) -> Reading | None:
     """Mistake that explains why the matrices depend on the angle, or None."""
-    if is_identity(per_light(turned.matrices.raw)):
+    if is_identity(per_light(matrices.raw)):
         return Reading.IDENTITY
     found = {
-        mistake: _handedness(turned, matrices)
-        for mistake, matrices in readings(turned.matrices, turned.normal, turned.nested)
-        if np.max(turned.misfit(matrices) / misfit) < EXPLAINED
+        mistake: _handedness(in_plane, normal, *matrices.beams)
+        for mistake, in_plane in readings(matrices, normal, nested)
+        if np.max(_misfit(in_plane) / misfit) < EXPLAINED
     }
     # of several the one by which facets would mirror light as they do
     return min(found, key=lambda mistake: round(found[mistake], 3), default=None)
 
 
-def _handedness(turned: Turned, in_plane: Floats) -> float:
+def _handedness(
+    in_plane: Floats, normal: Numbers, k_in: Floats, k_out: Floats
+) -> float:
     """Size of elements that mirror symmetry about the plane of both beams forbids."""
-    k_in, k_out = turned.matrices.beams
     s = np.cross(k_in, k_out)
     length = np.linalg.norm(s, axis=-1, keepdims=True)
     s = np.where(length > 0, s, 0) / np.where(length > 0, length, 1)
-    turns = (
-        turn(k, plane_axis(k, turned.normal), s)[..., None, :, :] for k in (k_in, k_out)
-    )
+    turns = (turn(k, plane_axis(k, normal), s)[..., None, :, :] for k in (k_in, k_out))
     m = per_light(reframed(in_plane, *turns))
     return float(np.abs(m[..., :2, 2:]).mean() + np.abs(m[..., 2:, :2]).mean())
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -16,15 +15,13 @@ from ...single_precision import BSDF_ROUNDING
 from ...transport.bsdf_trial import PluginFault
 from ..conditions import Effort
 from ..evidence import INTERFACE, Evidence
-from ..kinds import Kind
-from ..mistakes import EVAL, PDF, Function
+from ..mistakes import EVAL, PDF, Function, Kind
 from ..probe import (
     Probe,
     as_plugin_fault,
     assign,
     changed,
     number_parameters,
-    numbers,
     spectral,
     vectors,
 )
@@ -72,7 +69,6 @@ FUNCTIONS: Mapping[Function, Callable[[Probe, mi.Vector3f], tuple[Any, ...]]] = 
 }
 
 
-@dataclass(frozen=True)
 class _Line:
     """Parameters along a line on which no two numbers of them change alike.
 
@@ -83,23 +79,16 @@ class _Line:
         The largest number of the first.
     """
 
-    kinds: dict[str, type]
-    values: dict[str, Floats]
-    slopes: dict[str, Floats]
-    size: float
-
-    @classmethod
-    def through(cls, params: Any, names: Sequence[str]) -> _Line:
-        """Line of all these parameters."""
-        # most ranges end at 1
+    def __init__(self, params: Any, names: Sequence[str]) -> None:
+        self.kinds = {name: type(params[name]) for name in names}
         values = {name: np.array(params[name], dtype=float) for name in names}
-        values = {name: np.where(x == 1, BELOW_1, x) for name, x in values.items()}
-        size = float(np.abs(values[names[0]]).max())
-        slopes = {
-            name: x / size * (1 - turns(x) / 2) * (1 - i * GOLDEN % 1 / 2)
-            for i, (name, x) in enumerate(values.items())
+        # most ranges end at 1
+        self.values = {name: np.where(x == 1, BELOW_1, x) for name, x in values.items()}
+        self.size = float(np.abs(self.values[names[0]]).max())
+        self.slopes = {
+            name: x / self.size * (1 - turns(x) / 2) * (1 - i * GOLDEN % 1 / 2)
+            for i, (name, x) in enumerate(self.values.items())
         }
-        return cls({k: type(params[k]) for k in names}, values, slopes, size)
 
     def at(self, step: float = 0, along: mi.Float | None = None) -> dict[str, Any]:
         """Values at a step, which depend on a variable if there is one."""
@@ -136,9 +125,7 @@ def check_samples(evidence: Evidence, plan: Effort, samples: Samples) -> None:
     closely = may_update_often(evidence, plan)
     if closely and len(names) > 1:
         try:
-            found = _wrong_gradients(
-                probe, _Line.through(params, names), wo[:N_ASKED], True
-            )
+            found = _wrong_gradients(probe, _Line(params, names), wo[:N_ASKED], True)
             wrong = {guess.functions for guess, _, _ in found}
             # what `eval_pdf` says of a wrong `eval` is no news
             closely = bool(wrong - {EVAL, EVAL_PDF} if EVAL in wrong else wrong)
@@ -147,9 +134,8 @@ def check_samples(evidence: Evidence, plan: Effort, samples: Samples) -> None:
     for name in names:
         how: dict[str, Any] = {"kind": Kind.GRADIENT, "about": name}
         try:
-            for guess, text, size in _wrong_gradients(
-                probe, _Line.through(params, [name]), wo, closely
-            ):
+            line = _Line(params, [name])
+            for guess, text, size in _wrong_gradients(probe, line, wo, closely):
                 text, at = f"by {name}: {text}", samples.condition
                 evidence.breach(PARAMETERS, guess, at, found=text, size=size, **how)
         except PluginFault as fault:
@@ -204,13 +190,14 @@ def _wrong_gradients(
                     yield Parameters.BACKWARD(one, name=name), text, 1.0
 
 
+def _rows(parts: tuple[Any, ...]) -> list[mi.Float]:
+    """All channels of all parts of an answer."""
+    return [x for part in parts for x in ([part] if type(part) is mi.Float else part)]
+
+
 def _columns(parts: tuple[Any, ...], wo: Floats) -> Floats:
-    """All channels of all parts of an answer, shape (n, columns)."""
-    each = [
-        numbers(x, len(wo)) if type(x) is mi.Float else spectral(x, len(wo))
-        for x in parts
-    ]
-    return np.column_stack(each).astype(float)
+    """The same, shape (n, columns)."""
+    return spectral(_rows(parts), len(wo))
 
 
 def _differences(
@@ -234,10 +221,8 @@ def _forward(
 ) -> dict[Function, Floats]:
     """Derivatives of answers by what parameters depend on, shape (n, columns)."""
     # one answer may follow from another, whose gradient would be cleared
-    end = dr.opaque(mi.Float, 1)
-    answers = {
-        one: tuple(x * end for x in FUNCTIONS[one](probe, vectors(wo))) for one in asked
-    }
+    end, towards = dr.opaque(mi.Float, 1), vectors(wo)
+    answers = {f: tuple(x * end for x in FUNCTIONS[f](probe, towards)) for f in asked}
     with as_plugin_fault(str(asked[0])):
         dr.forward(along, flags=FLAGS)
     return {k: _columns(tuple(map(dr.grad, x)), wo) for k, x in answers.items()}
@@ -249,8 +234,7 @@ def _backward(
     """Derivative of a weighted sum, what it should be, and how far it may be off."""
     answer = FUNCTIONS[function](probe, vectors(wo))
     weights, total = 0.5 + turns(slope), mi.Float(0)
-    rows = [x for part in answer for x in ([part] if type(part) is mi.Float else part)]
-    for row, weight in zip(rows, weights.T):
+    for row, weight in zip(_rows(answer), weights.T):
         total += dr.sum(row * floats(weight))
     dr.set_grad(along, 0)
     with as_plugin_fault(str(function)):

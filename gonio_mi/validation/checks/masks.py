@@ -8,8 +8,7 @@ import numpy as np
 
 from ..conditions import Condition
 from ..evidence import INTERFACE, Evidence, Question
-from ..kinds import Kind
-from ..mistakes import EVAL, PDF, SAMPLE, Function, Mistake
+from ..mistakes import EVAL, PDF, SAMPLE, Function, Kind, Mistake
 from ..probe import Probe, numbers, spectral, vectors
 from ..samples import samples_of, unequal
 

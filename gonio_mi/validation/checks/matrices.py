@@ -1,7 +1,5 @@
 """All elements of matrices: functions agree, in both directions and transport modes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -9,8 +7,7 @@ import numpy as np
 from ...array_types import Flags, Floats
 from ...collector.stokes import EXCHANGE, UPRIGHT
 from ..evidence import Evidence, Question
-from ..kinds import Kind, MatrixKind
-from ..mistakes import EVAL, PDF, SAMPLE, Function, Guess, Mistake
+from ..mistakes import EVAL, PDF, SAMPLE, Function, Guess, Kind, MatrixKind, Mistake
 from ..mueller import (
     Lobes,
     Matrices,
@@ -165,9 +162,8 @@ def check_eval_pdf(
             fields = {"what": what, "mode": values.in_mode}
             guess = Matrix.OTHER_VALUES(Function.EVAL_PDF, **fields)
             how = {"off": None, "kind": kind, "about": "pdf"}
-            evidence.breach(
-                EVAL_PDF, guess, values, wrong, found=f"its {what} differ", **how
-            )
+            how["found"] = f"its {what} differ"
+            evidence.breach(EVAL_PDF, guess, values, wrong, **how)
 
 
 def check_reciprocity(

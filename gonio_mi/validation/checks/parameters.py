@@ -15,8 +15,7 @@ from ...mitsuba_compat import floats
 from ...transport.bsdf_trial import PluginFault
 from ..conditions import Condition, Effort, Sweep
 from ..evidence import BIAS, BREAKS, MAX_P, SAME, Breach, Evidence, Question
-from ..kinds import Kind
-from ..mistakes import EVAL, PDF, SAMPLE, Function, Mistake
+from ..mistakes import EVAL, PDF, SAMPLE, Function, Guess, Kind, Mistake
 from ..probe import (
     Probe,
     changed,
@@ -89,12 +88,12 @@ def check_changes(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> Non
         if may_update_often(evidence, plan):
             _check_updates(evidence, values, answers_of, by_chance)
         _check_values(evidence, plan, sides, values)
-        own = [x for x in _differing(first, answers_of()) if x not in by_chance]
+        own = _differing(first, answers_of(), by_chance)
     except PluginFault as fault:
         evidence.breach_of_fault(PARAMETERS, fault)
         return
     if own and not evidence.of("parameters"):
-        guess = Parameters.REMEMBERED(_guilty(own), **_subject(own))
+        guess = _blamed(own, Parameters.REMEMBERED)
         text = "another answer after parameters were changed and changed back"
         how: dict[str, Any] = {"kind": Kind.UPDATE, "about": own[0]}
         evidence.breach(PARAMETERS, guess, found=text, size=3.0, **how)
@@ -116,20 +115,16 @@ def _check_values(
         found = _after_one_change(evidence, plan, sides, name, values[name])
         if found is None:
             continue
-        function = _stale(evidence.sweeps[0], found)
-        guess = Parameters.STALE(function, name=name)
-        breaches = [b.statistic for b in found.breaches if b.effect == BIAS]
-        if breaches:
-            text = f"after a change of {name}: {breaches[0]}"
+        guess = Parameters.STALE(_stale(evidence.sweeps[0], found), name=name)
+        text = f"after a change of {name}: "
+        if wrong := _breaches(found):
+            text += wrong[0].statistic
             evidence.breach(PARAMETERS, guess, found=text, size=2.0, about=name)
         else:
-            text = min(found.tests, key=lambda test: test.p).statistic
-            text, p = (
-                f"after a change of {name}: {text}",
-                len(values) * _corrected_p(found),
-            )
+            p = min(1.0, len(values) * _corrected_p(found))
+            text += min(found.tests, key=lambda test: test.p).statistic
             how = {"kind": Kind.DENSITY_AFTER_A_CHANGE, "about": name, "guess": guess}
-            evidence.test(PARAMETERS, min(1.0, p), text, **how)
+            evidence.test(PARAMETERS, p, text, **how)
         return
 
 
@@ -153,15 +148,14 @@ def _check_further(evidence: Evidence, plan: Effort, values: dict[str, Any]) -> 
             return
         after = _asked_after(evidence, others, identities)
         # together, they may be out of their range
-        if after is None or after.of("answers"):
-            alone = may_update_often(evidence, plan)
-        else:
-            alone = bool(_breaches(after))
+        alone: Any = may_update_often(evidence, plan)
+        if after and not after.of("answers"):
+            alone = _breaches(after)
         for name in evenly_chosen(others) if alone else ():
             found = _asked_after(evidence, {name: others[name]}, identities)
-            if found is None or found.of("answers") or not _breaches(found):
+            wrong = _breaches(found) if found and not found.of("answers") else []
+            if not (found and wrong):
                 continue
-            wrong = _breaches(found)
             to = ", ".join(f"{x:.3g}" for x in np.ravel(np.array(others[name])))
             before = samples_of(evidence.bsdf, sweep, N_UPDATED, key, False)
             function = _stale(before, found)
@@ -202,25 +196,23 @@ def _answers_of(evidence: Evidence, sides: Sequence[str]) -> Answers:
     return answers_of
 
 
-def _differing(before: dict[str, Floats], after: dict[str, Floats]) -> list[str]:
-    """Functions whose answers differ."""
+def _differing(
+    before: dict[str, Floats], after: dict[str, Floats], but: Sequence[str] = ()
+) -> list[str]:
+    """Functions whose answers differ, `but` for some."""
     return [
-        function
-        for function, answer in before.items()
-        if beyond_rounding(unequal(answer, after[function], 0.0))
+        name
+        for name, answer in before.items()
+        if beyond_rounding(unequal(answer, after[name], 0.0)) and name not in but
     ]
 
 
-def _guilty(own: Sequence[str]) -> Function:
-    """An update, or the one function that changes by it."""
+def _blamed(own: Sequence[str], mistake: Parameters, **fields: str) -> Guess:
+    """A mistake of an update, or of the one function that changes by it."""
     alone = Function.named(own[0]) if len(own) == 1 else Function(0)
-    return alone | Function.PARAMETERS_CHANGED
-
-
-def _subject(own: Sequence[str]) -> dict[str, str]:
-    """Functions as the subject of a sentence."""
-    those = " and ".join(f"`{one}`" for one in own)
-    return {"those": those, "does": "does" if len(own) == 1 else "do"}
+    fields["those"] = " and ".join(f"`{one}`" for one in own)
+    fields["does"] = "does" if len(own) == 1 else "do"
+    return mistake(alone | Function.PARAMETERS_CHANGED, **fields)
 
 
 def _check_updates(
@@ -241,19 +233,18 @@ def _check_updates(
             with changed(evidence.bsdf, others):
                 before = answers_of()
                 update(evidence.bsdf, values)
-                own = [
-                    x for x in _differing(before, answers_of()) if x not in by_chance
-                ]
+                own = _differing(before, answers_of(), by_chance)
         except PluginFault:
             if name:
                 continue  # a value that is refused
             raise
         if own:
-            guess = Parameters.UPDATE(_guilty(own), **_subject(own))
+            guess = _blamed(own, Parameters.UPDATE)
             how: dict[str, Any] = {"kind": Kind.UPDATE, "about": own[0]}
             if name:
-                function, how = Function.named(own[0]), {"about": name}
-                guess = Parameters.STALE_ALONE(function, name=name, **_subject(own))
+                guess = _blamed(own, Parameters.STALE_ALONE, name=name)
+                guess = replace(guess, functions=Function.named(own[0]))
+                how = {"about": name}
             text = "another answer after an update of all parameters"
             evidence.breach(PARAMETERS, guess, found=text, size=3.0, **how)
             return
@@ -321,12 +312,11 @@ def _asked_after(
     """Evidence of a check after a change; None if the plugin refuses a value."""
     found = Evidence(evidence.bsdf, evidence.seed, evidence.questions)
     side = evidence.sweeps[0].condition.side
+    probe = Probe(evidence.bsdf, Condition(40.0, 25.0, side))
     try:
         with changed(evidence.bsdf, values):
             check(found)
-            answers.check_lattice(
-                found, Probe(evidence.bsdf, Condition(40.0, 25.0, side))
-            )
+            answers.check_lattice(found, probe)
     except PluginFault:
         return None
     return found
@@ -348,7 +338,7 @@ def _after_one_change(
         if not _biases(found):
             return None
         worst = worst or found
-        if not any(b.effect == BIAS for b in found.breaches):
+        if not _breaches(found):
             break
     return worst
 
@@ -376,7 +366,7 @@ def _stale(before: Samples, found: Evidence) -> Function:
     def same(answer: Callable[[Samples], Floats]) -> bool:
         return not beyond_rounding(unequal(answer(before), answer(after), 0.0) & still)
 
-    names = {b.name for b in found.breaches if b.effect == BIAS}
+    names = {b.name for b in _breaches(found)}
     if "sampled_weight" in names and "sampled_pdf" not in names:
         stale_eval, stale_weight = same(lambda x: x.eval), same(lambda x: x.flux)
         if stale_eval != stale_weight:
@@ -386,4 +376,4 @@ def _stale(before: Samples, found: Evidence) -> Function:
         if same(lambda one: one.pdf) and not same(lambda one: one.sampled_pdf):
             return PDF
         return SAMPLE if still[before.usable].all() else SAMPLE | PDF
-    return next(b.guess.functions for b in found.breaches if b.effect == BIAS)
+    return _breaches(found)[0].guess.functions

@@ -1,7 +1,5 @@
 """Each matrix is that of a real surface (Cloude)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ...array_types import Flags, Floats
@@ -34,8 +32,6 @@ class Unreal(Mistake):
         changes sign on leaving"""
     V_ON_ARRIVAL = """{who} returns matrices that no surface has: the handedness of V
         changes sign on arrival"""
-    COLUMNS = """{who} returns matrices that no surface has: the last two columns change
-        sign"""
     POLARISES = """{who} returns matrices that no surface has: unpolarised light leaves
         with a degree of polarisation of {degree:.3g}"""
     ONE_POLARISATION = """{who} returns matrices that no surface has: light of one
@@ -50,7 +46,6 @@ class Unreal(Mistake):
 SIGNS = {
     Unreal.V_ON_LEAVING: (np.diag([1, 1, 1, -1]), np.eye(4)),
     Unreal.V_ON_ARRIVAL: (np.eye(4), np.diag([1, 1, 1, -1])),
-    Unreal.COLUMNS: (np.eye(4), np.diag([1, 1, -1, 1])),
 }
 
 

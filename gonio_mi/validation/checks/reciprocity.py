@@ -10,8 +10,7 @@ import numpy as np
 from ...array_types import Flags, Floats
 from ...single_precision import BSDF_ROUNDING
 from ..evidence import ALL, BIAS, BREAKS, FROM_LIGHTS, MODEL, Evidence, Question
-from ..kinds import Kind
-from ..mistakes import EVAL, SAMPLE, Guess, Mistake
+from ..mistakes import EVAL, SAMPLE, Guess, Kind, Mistake
 from ..probe import Probe, numbers, spectral
 from ..samples import Samples, beyond_rounding, samples_of, unequal
 from .delta import DIRECTION_ROUNDING, Lobe
@@ -179,10 +178,8 @@ def ratio_text(a: Floats, b: Floats, wrong: Flags, samples: Samples) -> str:
     if one_way.sum() > 0.5 * wrong.sum() or not both.any():
         return f"light goes one way only for {samples.fraction(one_way)}"
     low, high = np.quantile(a[both] / b[both], [0.05, 0.95])
-    return (
-        f"f(wi, wo) over f(wo, wi) is {low:.4g} to {high:.4g} for "
-        f"{samples.fraction(wrong)}"
-    )
+    place = samples.fraction(wrong)
+    return f"f(wi, wo) over f(wo, wi) is {low:.4g} to {high:.4g} for {place}"
 
 
 def is_constant(ratio: Floats) -> bool:

@@ -1,7 +1,5 @@
 """The pdf that `sample` returns is that of `pdf`."""
 
-from __future__ import annotations
-
 from ..evidence import BIAS, COMBINED, SAME, Evidence, Question
 from ..mistakes import SAMPLE, Mistake
 from ..samples import Samples, ratio_of, unequal

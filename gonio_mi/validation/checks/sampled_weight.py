@@ -1,7 +1,5 @@
 """Weight times pdf is `eval`."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ...array_types import Flags, Floats
@@ -46,33 +44,27 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
             guess = SampledWeight.OTHER_MEAN(EVAL | SAMPLE)
             evidence.breach(SAMPLED_WEIGHT, guess, samples.condition)
         return
-    wrong = [
-        one & lit for one in _unequal(samples, samples.eval_slack, samples.pdf_slack)
-    ]
+    slacks = samples.eval_slack, samples.pdf_slack
+    wrong = [one & lit for one in _unequal(samples, *slacks)]
     lit_alike = samples.condition.wi.ndim == 1
     if lit_alike and beyond_rounding(wrong[1]) and wrong[1].mean() < MAX_SEARCHED:
         few = samples.select(wrong[1])
         wrong[1][wrong[1]] = _unequal(few, *closer_slacks(evidence.bsdf, few))[1]
     if all(beyond_rounding(one) for one in wrong):
         effect = "" if _is_biased(samples, lit) else INTERFACE
-        ratio = ratio_of(_products(samples)[1], samples.eval)
+        ratio = ratio_of(samples.flux_by_pdf, samples.eval)
         found = ratio, "weight times pdf over `eval`"
         guess, at = SampledWeight.OTHER(SAMPLE), (samples, wrong[1])
         evidence.breach_of_ratio(SAMPLED_WEIGHT, guess, *at, *found, effect=effect)
 
 
-def _products(samples: Samples) -> list[Floats]:
-    """Weight times the sampled pdf, and times that of ``pdf``."""
-    return [samples.flux, samples.weight * samples.pdf[:, None]]
-
-
 def _unequal(samples: Samples, eval_slack: Floats, pdf_slack: Floats) -> list[Flags]:
-    """Masks of samples for which either product is not ``eval``."""
+    """Masks of samples for which weight times either density is not ``eval``."""
     # where a density is badly conditioned, so is the product
     relative = (pdf_slack / np.maximum(samples.pdf, 1e-30))[:, None]
     return [
         unequal(x, samples.eval, eval_slack + np.abs(x) * relative)
-        for x in _products(samples)
+        for x in (samples.flux, samples.flux_by_pdf)
     ]
 
 

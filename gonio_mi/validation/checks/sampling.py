@@ -17,9 +17,8 @@ from ..conditions import Condition, Sweep
 from ..evidence import BIAS, COMBINED, INTERFACE, MAX_P, NOISE, SAME, Evidence, Question
 from ..factors import OF_WEIGHT, has_known_factor, ratios_of
 from ..integrals import SUM_ERROR
-from ..kinds import Kind
 from ..maps import FourMaps, skew_score, unexplained_fraction
-from ..mistakes import PDF, SAMPLE, Function, Mistake
+from ..mistakes import PDF, SAMPLE, Function, Kind, Mistake
 from ..probe import Probe, is_delta, numbers, spectral, uniform, vectors
 from ..samples import samples_of
 from .answers import lattice

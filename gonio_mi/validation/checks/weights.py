@@ -1,15 +1,12 @@
 """The mean of sampled weights is the integral of `eval`."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..conditions import Condition
 from ..evidence import BIAS, MINOR, NOISE, SAME, SAMPLED, Evidence, Question
 from ..integrals import SUM_ERROR
-from ..kinds import Kind
 from ..maps import FourMaps, unexplained_fraction, unexplained_light
-from ..mistakes import EVAL, PDF, Mistake
+from ..mistakes import EVAL, PDF, Kind, Mistake
 from ..probe import Probe
 from ..samples import Samples, beyond_rounding
 from .answers import lattice

@@ -168,9 +168,7 @@ def told(
     verdict: Verdict, others: Sequence[Verdict], skipped: Mapping[str, str]
 ) -> str:
     """One verdict in full, and of the others what differs."""
-    lines = [
-        f"not judged in {variant}: {reason}" for variant, reason in skipped.items()
-    ]
+    lines = [f"not judged in {name}: {reason}" for name, reason in skipped.items()]
     no_more = []
     for other in others:
         variant = other.settings["variant"]

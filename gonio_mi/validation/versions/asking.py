@@ -1,7 +1,5 @@
 """Ask the Mitsuba of another environment, in a separate process, by scripts."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -134,11 +132,7 @@ def answers_about(
     ((_, line, _),) = answers_of(python, [script], limits={}, files=files)
     if line.startswith("raised "):
         raise SpecimenError(f"{python} gave no answer: it {line}")
-    asked = {
-        "variant": mi.variant(),
-        "seed": seed,
-        "conditions": list(map(list, VIEWS)),
-    }
+    asked = {"variant": mi.variant(), "seed": seed, "conditions": VIEWS}
     name = specimen_name(specimen, dict(parameters or {}))
     return {"format": FORMAT, "name": name, "asked": asked, **json.loads(line)}
 
@@ -206,8 +200,7 @@ def _no_answer(python: str, said: str, code: int) -> SettingError | SpecimenErro
     """Error for a Python that said no version before it ended with an exit code."""
     missing = re.search(r"No module named '(mitsuba|drjit|numpy)", said)
     if missing:
-        return SettingError(
-            f"{python} has no {missing[1]}: run {python} -m pip install mitsuba numpy"
-        )
+        install = f"{python} -m pip install mitsuba numpy"
+        return SettingError(f"{python} has no {missing[1]}: run {install}")
     last = said.strip().rpartition("\n")[2].strip() or f"it ended with {code}"
     return SpecimenError(f"{python} gave no answer: {last}")

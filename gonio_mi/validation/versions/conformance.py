@@ -6,8 +6,6 @@ with its reproducer. The other version's environment needs nothing but Mitsuba a
 NumPy.
 """
 
-from __future__ import annotations
-
 import base64
 import html
 import math

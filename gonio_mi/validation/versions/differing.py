@@ -1,7 +1,5 @@
 """Two versions of Mitsuba compared: what differs, and by how many errors."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json
@@ -263,11 +261,9 @@ def _read(path: str | PathLike[str]) -> dict[str, dict[str, Any]]:
 def decoded(text: str) -> dict[str, Any]:
     """Arrays of :func:`.worker.encoded`, in double precision or whole numbers."""
     content = io.BytesIO(base64.b64decode(text, validate=True))
+    kinds = {"f": float, "i": int}
     with np.load(content, allow_pickle=False) as arrays:
-        return {
-            k: x.astype(float if x.dtype.kind == "f" else int)
-            for k, x in arrays.items()
-        }
+        return {k: x.astype(kinds[x.dtype.kind]) for k, x in arrays.items()}
 
 
 def _compared(
@@ -402,9 +398,8 @@ def _weights(a: Mapping[str, Any], b: Mapping[str, Any]) -> Sized:
     tilt = np.abs(a["direction"] - b["direction"])[index].max(axis=1, initial=0)
     both = np.logical_and(*_given(a, b)) & ~_moved(a, b)
     both = both[index] & (tilt <= SLACK * ULPS)
-    weights, densities = (
-        [x[name][index][both] for x in (a, b)] for name in ("weight", "sampled_pdf")
-    )
+    weights = [x["weight"][index][both] for x in (a, b)]
+    densities = [x["sampled_pdf"][index][both] for x in (a, b)]
     # a weight is badly conditioned where a density or a value is
     relative = (slack / np.fmax(density, SMALLEST))[:, None]
     relative = relative + value_slack / np.fmax(value, SMALLEST)

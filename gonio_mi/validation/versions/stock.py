@@ -1,7 +1,5 @@
 """Mitsuba's own BSDFs and phase functions, with sets of parameters of each."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 
