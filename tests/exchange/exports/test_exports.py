@@ -5,6 +5,7 @@ import json
 import struct
 import warnings
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -94,6 +95,20 @@ def test_material_of_a_klems_record():
     seen = material.values(40, 0, direction(theta, phi))
     brdf = record.brdf[1, :, 0]
     assert (np.abs(seen - brdf) <= 32 * EPS * brdf.max()).all()
+
+
+def test_other_numbers_of_points_compile_nothing():
+    """Of a material that is resampled; twin: the first of them do."""
+    record = synthetic.record(theta_i=(0, 30, 60), phi_i=(0,) * 3)
+    material, new = resampling.Material(record), []
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        for n in (40, 41):
+            dr.kernel_history_clear()
+            material.values(20, 10, direction(np.linspace(0.1, 1, n), 1.0))
+            history = dr.kernel_history([dr.KernelType.JIT])
+            new.append({one["hash"] for one in history}.difference(*new))
+    assert new[0]
+    assert not new[1]
 
 
 # ------------------------------------------------------------------ Mitsuba's measured
