@@ -330,7 +330,7 @@ class _Trial:
         points = patches.points(N_POINTS, number)
         points[..., 2] *= -1 if hemisphere else 1
         wo = mi.Vector3f(*map(floats, points.reshape(-1, 3).T))
-        wi = mi.Vector3f(*(floats([one]) for one in self.wi))
+        wi = mi.Vector3f(*map(floats, self.wi[:, None]))
         face = InterpolatedBSDF(self.table, None, half_vectors, self.quantiles)
         values, _, wanted = face.values(wi, wo)
         mean = dr.select(wanted, sum(values) / len(values), 0.0)
