@@ -12,6 +12,7 @@ import numpy as np
 
 from ..array_types import Flags, Floats, Integers
 from ..collector.directions import direction
+from ..mitsuba_compat import floats
 from ..results.patch_means import PatchMeans
 from ..results.record import Record
 from .interpolation.interpolated_bsdf import InterpolatedBSDF, half_vector_segments
@@ -104,9 +105,7 @@ class Prediction:
         lower, patch = np.divmod(number, self.subdivision.n_patches)
         points = self.subdivision.points(n, patch)
         points[..., 2] *= np.where(lower, -1, 1)[:, None]
-        wo = mi.Vector3f(np.ascontiguousarray(points.reshape(-1, 3).T))
-        dr.eval(wo)
-        return wo
+        return mi.Vector3f(*map(floats, points.reshape(-1, 3).T))
 
     def _between(
         self, azimuths: Sequence[int], angles: Sequence[int]

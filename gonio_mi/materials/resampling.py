@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from ..array_types import Floats
 from ..collector.directions import direction
 from ..collector.hemisphere import Subdivision
+from ..mitsuba_compat import floats
 from ..progress import counted
 from ..results.patch_means import PatchMeans
 from ..results.record import Record, fractions_of
@@ -164,7 +165,7 @@ class Material:
         if not each:
             return light
         wi: Any = direction(np.radians(theta_i), np.radians(phi_i))
-        xy = mi.Point2f(np.ascontiguousarray(np.tile(points, (n, 1)).T, np.float32))
+        xy = mi.Point2f(*map(floats, np.tile(points, (n, 1)).T))
         bins, size = np.repeat(np.arange(n), each), n * patches.n_patches
         parts = self._face.carried(vectors(np.repeat(wi, each, axis=0)), xy, hemisphere)
         for row, share, wo in parts:
@@ -198,8 +199,8 @@ class Material:
 
 
 def vectors(v: Floats) -> Any:
-    """Dr.Jit vectors of an array of the shape ``(n, 3)``."""
-    return mi.Vector3f(np.ascontiguousarray(v.T, dtype=np.float32))
+    """Dr.Jit vectors of an array ``(n, 3)``: no kernel depends on `n`."""
+    return mi.Vector3f(*map(floats, v.T))
 
 
 # ----------------------------------------------------------------------------- peaks

@@ -106,7 +106,7 @@ def fast(words):
     if "--tolerance" in rest:
         rest += ["--theta-max", "50"]
     if command == "measure" and "--points" not in rest:
-        rest += ["--collector", "angle:10x40"]  # fine enough for materials
+        rest += ["--collector", "angle:8x24"]  # fine enough for materials
     of_matrices = command == "bsdf" or any(word.endswith(".xml") for word in rest)
     if command in ("bsdf", "export") and of_matrices and "--basis" not in rest:
         rest += ["--basis", "klems-quarter"]

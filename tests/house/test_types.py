@@ -20,14 +20,14 @@ gonio_mi.collector.subdivision(30)
 def test_types(tmp_path):
     """In the package; twin: in code of a user a wrong one is seen.
 
-    To whom ``py.typed`` shows the annotations. Both in one run, which takes long; mypy
-    keeps what it found for the next one.
+    To whom ``py.typed`` shows the annotations. Both in one run, which takes long.
     """
     pytest.importorskip("mypy")
     user = tmp_path / "user.py"
     user.write_text(USER)
+    command = [sys.executable, "-m", "mypy", "--no-incremental"]
     found = subprocess.run(
-        [sys.executable, "-m", "mypy", "gonio_mi", str(user)],
+        [*command, "gonio_mi", str(user)],
         cwd=ROOT,
         env=os.environ | {"MYPYPATH": str(ROOT)},
         capture_output=True,

@@ -123,6 +123,7 @@ def _asked(
         si.wavelengths = wavelength_lanes(some and tuple(some))
         light = bsdf.eval(flux_context(), si, wo)
         sums += list(light)[: some and len(some)]
+    dr.eval(sums)  # in one kernel: block_sum takes one for each
     size = dr.width(wo) // (shape[1] * shape[2])
     sums = [dr.block_sum(one, size) for one in sums[: shape[0]]]
     dr.eval(sums)

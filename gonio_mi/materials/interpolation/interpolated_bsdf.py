@@ -15,6 +15,7 @@ import numpy as np
 
 from ...array_types import Floats, Integers
 from ...collector.directions import direction
+from ...mitsuba_compat import floats
 from .incident_grid import MIN_BENDING, tried_indices
 from .interpolated_lobes import (
     HalfVectorSegments,
@@ -328,9 +329,8 @@ class _Trial:
         number = np.sort(order[: few + 1 : 1 + few // MAX_PATCHES])
         points = patches.points(N_POINTS, number)
         points[..., 2] *= -1 if hemisphere else 1
-        wo = mi.Vector3f(np.ascontiguousarray(points.reshape(-1, 3).T))
-        wi = mi.Vector3f(self.wi.tolist())
-        dr.make_opaque(wi, wo)
+        wo = mi.Vector3f(*map(floats, points.reshape(-1, 3).T))
+        wi = mi.Vector3f(*map(floats, self.wi[:, None]))
         face = InterpolatedBSDF(self.table, None, half_vectors, self.quantiles)
         values, _, wanted = face.values(wi, wo)
         mean = dr.select(wanted, sum(values) / len(values), 0.0)

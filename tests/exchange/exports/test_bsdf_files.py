@@ -174,7 +174,7 @@ def test_twin_points_alone_lose_the_delta(tmp_path, monkeypatch):
         "specular_peaks",
         lambda record: np.zeros((len(record), 2, 1)),
     )
-    monkeypatch.setattr(radiance_export, "POINTS_OUT", 4)
+    monkeypatch.setattr(radiance_export, "POINTS_OUT", 2)
     exporting.export(record, tmp_path / "pane.xml", "klems-quarter")
     light = loaded(tmp_path / "pane.xml")["Visible", "Transmission Back"]
     light = light * Klems("quarter").projected_solid_angles

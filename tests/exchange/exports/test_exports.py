@@ -5,6 +5,7 @@ import json
 import struct
 import warnings
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -96,6 +97,20 @@ def test_material_of_a_klems_record():
     assert (np.abs(seen - brdf) <= 32 * EPS * brdf.max()).all()
 
 
+def test_other_numbers_of_points_compile_nothing():
+    """Of a material that is resampled; twin: the first of them do."""
+    record = synthetic.record(theta_i=(0, 30, 60), phi_i=(0,) * 3)
+    material, new = resampling.Material(record), []
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        for n in (40, 41):
+            dr.kernel_history_clear()
+            material.values(20, 10, direction(np.linspace(0.1, 1, n), 1.0))
+            history = dr.kernel_history([dr.KernelType.JIT])
+            new.append({one["hash"] for one in history}.difference(*new))
+    assert new[0]
+    assert not new[1]
+
+
 # ------------------------------------------------------------------ Mitsuba's measured
 
 
@@ -127,7 +142,7 @@ def test_measured_of_an_anisotropic_colour_converges(tmp_path, monkeypatch):
         rays=10**6,
     )
     misplaced = []
-    for grid in (16, 32):
+    for grid in (8, 16):
         monkeypatch.setattr(measured_export, "GRID", grid)
         monkeypatch.setattr(measured_export, "READ_BACK_RAYS", 2**16)
         losses = exporting.export(record, tmp_path / "colour.bsdf")
@@ -159,7 +174,7 @@ def test_what_measured_holds_is_what_rays_find_in_it(tmp_path, monkeypatch, caps
     metal = {"type": "roughconductor", "alpha_u": 0.3, "alpha_v": 0.2}
     angles = {"theta_i": [0, 60], "phi_i": [0, 90, 180, 270]}
     record = gonio.measure(metal, **angles, collector="projected:9x12", rays=2**14)
-    monkeypatch.setattr(measured_export, "GRID", 32)
+    monkeypatch.setattr(measured_export, "GRID", 16)
     monkeypatch.setattr(progress, "PAUSE", 0.0)
     by_points = exporting.export(record, tmp_path / "a.bsdf", progress=True)
     assert "read back" in capsys.readouterr().err
@@ -385,6 +400,8 @@ def test_command_prints_what_was_lost(tmp_path, capsys, glossy, monkeypatch):
     # which tests of the command bsdf do in earnest
     back = [loss.Loss(0, 0, of, 0.5, 0, 0.5, 0.01, 0) for of in ("dhr", "dht")]
     monkeypatch.setattr(radiance_export, "read_back", lambda *_: back)
+    for name, fewer in (("POINTS_OUT", 2), ("POINTS_IN", 1), ("TREE_SIZES", {3: 32})):
+        monkeypatch.setattr(radiance_export, name, fewer)
     glossy.save(tmp_path / "run.npz")
     target = tmp_path / "run.xml"
     assert cli.main(["export", str(tmp_path / "run.npz"), "-o", str(target)]) == 0
