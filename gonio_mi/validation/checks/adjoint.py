@@ -32,6 +32,8 @@ class Adjoint(Mistake):
     LACKS_ETA2 = "{who} lacks 1/eta^2 in radiance mode"
     ALIKE = """{who} is the same in both modes: 1/eta^2 is missing in radiance mode, or
         there in importance mode"""
+    FACTOR_OF_RADIANCE = """{who} of radiance mode is {factor:.4g} times the expected
+        one for wi on the {side}"""
     NOT_SWAPPED = """{who} of radiance mode is not that of importance mode with wi and
         wo swapped"""
     WEIGHT_LACKS_ETA2 = "{who} weight lacks 1/eta^2 in radiance mode"
@@ -97,6 +99,9 @@ def _guess(ways: BothWays, wrong: Flags, of_radiance: bool) -> Guess:
                 return Adjoint.LACKS_ETA2(EVAL)
             if abs(middle * eta2 - 1) < 1e-3 or abs(middle / eta2 - 1) < 1e-3:
                 return Adjoint.ALIKE(EVAL)
+            if of_radiance:
+                side = {"front": "back", "back": "front"}[ways.samples.condition.side]
+                return Adjoint.FACTOR_OF_RADIANCE(EVAL, factor=1 / middle, side=side)
     return Adjoint.NOT_SWAPPED(EVAL)
 
 
