@@ -12,9 +12,9 @@ import lines
 
 # Lines of code: none blank, no comment, no docstring. `python tests/tools/lines.py`.
 BUDGET = {
-    "collector": 770,
+    "collector": 910,
     "settings": 610,
-    "results": 2625,
+    "results": 2630,
     "files": 1470,
     "surfaces": 720,
     "plots": 830,
@@ -28,10 +28,10 @@ BUDGET = {
     "entrance": 735,
     "materials": 2625,
     "exchange": 3760,
-    "analysis": 3880,
+    "analysis": 4370,
     "validation": 9390,
 }
-CORE, WHOLE = 17300, 36930
+CORE, WHOLE = 17450, 37560
 ROOMS = functools.cache(lines.rooms)
 HANDBOOK = Path(__file__).parents[2] / "notebooks" / "how_it_is_built.md"
 
