@@ -11,6 +11,7 @@ from functools import partial
 import numpy as np
 
 from ...array_types import Floats
+from ...collector import Borders, Subdivision
 from ...collector.receptors import Receptors, Window
 from ...errors import SettingError
 
@@ -50,9 +51,11 @@ class Definition:
         What the light is divided by, in the same hemisphere: by what came if None.
     scale : float
     minus : Definition, optional
+    patches : Subdivision, optional
+        The collector instead of windows, on which `curve` depends.
     curve : callable, optional
-        Function of the flux fractions of the receptors, in their order, instead of
-        their sum. It raises SettingError where it has no value.
+        Function of the map of reflected flux fractions, instead of a sum. It raises
+        SettingError where it has no value.
     """
 
     title: str
@@ -67,6 +70,7 @@ class Definition:
     over: tuple[Window, ...] | None = None
     scale: float = 1.0
     minus: "Definition | None" = None
+    patches: Subdivision | None = None
     curve: Callable[[Floats], float] | None = None
 
     @property
@@ -223,32 +227,34 @@ def transmitted(
 def lobe(what: str, theta_i: float = 45.0, step: float = 1.0) -> Definition:
     """Half width at half maximum on one side of the mirror direction, or asymmetry.
 
-    The maximum is that of the mean BRDF in windows of `step` x 2 `step` degrees all
-    along the plane of incidence, between which it is linear.
+    The maximum is that of the mean BRDF in patches of `step` x 2 `step` degrees about
+    the plane of incidence, between which it is linear.
     """
-    theta = theta_i + step * np.arange(-np.ceil(theta_i / step), 90 / step)
-    theta = theta[(theta > 0.6 * step) & (theta < 90 - 1.1 * step)]
-    windows = tuple((angle, 180.0, step, 2 * step) for angle in theta.tolist())
-    solid = Receptors(windows).projected_solid_angles[:-1, 0]
+    first = theta_i + step * (0.5 - np.ceil(theta_i / step))
+    edges = np.arange(first if first > step / 4 else first + step, 90.0, step)
+    middles = np.convolve(edges, [0.5, 0.5], "valid")
+    side = np.degrees(np.radians(step) / np.sin(np.radians(max(theta_i, step))))
+    patches = Borders((0, *edges, 90), (0, 180 - side, 180 + side, 360))
+    solid = patches.projected_solid_angles
 
     def curve(fractions: Floats) -> float:
-        radiance, ends = fractions / solid, []
+        radiance, ends = (fractions / solid)[1:-1, 1], []
         half, peak = radiance.max() / 2, int(radiance.argmax())
-        for side in (-1, 1):
-            values, angles = radiance[peak::side], theta[peak::side]
+        for sign in (-1, 1):
+            values, angles = radiance[peak::sign], middles[peak::sign]
             n = int(np.append(values < half, True).argmax())
             if not 2 <= n < len(values):
                 text = "step must resolve a lobe that falls to half above the horizon"
                 raise SettingError(f"{text}, got {step:g} degrees")
             end = np.interp(half, values[[n, n - 1]], angles[[n, n - 1]])
-            ends.append(float(side * (end - theta_i)))
+            ends.append(float(sign * (end - theta_i)))
         inner, outer = ends
         found = {"inner": inner, "outer": outer}
         return found.get(what, (outer - inner) / (outer + inner))
 
     unit, source = "" if what == "asymmetry" else "degrees", "half of the largest BRDF"
     own = Definition(f"lobe about the mirror direction, {what}", source, unit, theta_i)
-    return replace(own, receptors=windows, curve=curve)
+    return replace(own, patches=patches, curve=curve)
 
 
 _GLOSS = "GU", "ISO 2813, ASTM D523; apertures from memory"

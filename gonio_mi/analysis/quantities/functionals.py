@@ -66,6 +66,8 @@ def ratio(record: Record, weights: Floats, over: Floats | None = None) -> Floats
         return np.asarray(found)
     one = _reduced(record.estimates[0], weights, over)
     value, std_err = one.fraction(0).ravel(), one.std_err(0).ravel()
+    if value < 0:  # which no flux is
+        std_err = _reduced(record.estimates[0], -weights, over).std_err(0).ravel()
     if np.all(weights >= 0):
         return np.concatenate([value, std_err, *map(np.ravel, one.interval(0, LEVEL))])
     signs = (np.maximum(sign * weights, 0) for sign in (1, -1))
@@ -77,27 +79,18 @@ def ratio(record: Record, weights: Floats, over: Floats | None = None) -> Floats
     )
 
 
-def jackknifed(
-    record: Record, weights: Floats, curve: Callable[[Floats], float]
-) -> Floats:
-    """Function of weighted fluxes of a record of one channel, with error and limits.
+def jackknifed(record: Record, curve: Callable[[Floats], float]) -> Floats:
+    """Function of the map of reflected flux fractions, with its error and limits.
 
-    Its error is that of leaving out one batch after the other (Efron 1982, *The
-    Jackknife*), and its limits are Student's t.
-
-    Parameters
-    ----------
-    weights : ndarray, shape (n, n_hemispheres, n_rows, n_columns)
-    curve : callable
-        Of the `n` sums of flux fractions.
+    Of a record of one channel. Its error is that of leaving out one batch after the
+    other (Efron 1982, *The Jackknife*), and its limits are Student's t.
     """
     (tally,) = record.tallies
-    sums = np.einsum("khrc,bhrcs->bk", weights, tally.sums.astype(float))
-    came = tally.incident.astype(float)
-    value, n = curve(statistics.ratio(sums, came)), len(sums)
+    sums, came = tally.sums[:, 0, :, :, 0].astype(float), tally.incident[:, 0]
+    value, n = curve(sums.sum(axis=0) / came.sum()), len(sums)
     std_err = 0.0 if without_chance(record.tallies) else np.nan
     if n > 1:
-        kept = zip(sums.sum(axis=0) - sums, came.sum(axis=0) - came)
+        kept = zip(sums.sum(axis=0) - sums, came.sum() - came)
         std_err = float(np.std([curve(s / c) for s, c in kept]) * np.sqrt(n - 1))
     numbers = np.array([value]), np.array([std_err])
     return np.ravel([*numbers, *statistics.student_interval(*numbers, n, LEVEL)])

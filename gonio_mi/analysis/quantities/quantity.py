@@ -11,7 +11,7 @@ import numpy as np
 
 from ...array_types import Floats
 from ...campaigns.measure import measure
-from ...collector import Borders, Receptors
+from ...collector import EDGE, Borders, Receptors, Subdivision
 from ...collector.receptors import Window, holds
 from ...errors import SettingError, checked_choice, checked_number
 from ...exchange.exports.daylight import VISIBLE, VISIBLE_NM, lit_by, luminous
@@ -219,10 +219,11 @@ def evaluated(own: Definition, record: Record) -> tuple[Floats, int]:
         if not record.counts[over > 0].any():
             raise SettingError(f"{own.title} needs light that leaves, got none: {name}")
     grey, hits = lit_by(VISIBLE, luminous(record)), record.counts[weights > 0].sum()
-    if own.curve is None:
-        return own.scale * ratio(grey, weights, over), int(hits)
-    rows = np.array([_within(own, record, (one,)) for one in own.receptors])
-    return jackknifed(grey, rows, own.curve), int(hits)
+    if own.curve and own.patches == record.subdivision:
+        return jackknifed(grey, own.curve), int(hits)
+    if own.curve:
+        raise SettingError(f"{own.title} needs the collector {own.patches}")
+    return own.scale * ratio(grey, weights, over), int(hits)
 
 
 # ---------------------------------------------------------------- light and receptors
@@ -253,7 +254,8 @@ def _groups(definitions: Sequence[Definition]) -> list[list[Definition]]:
     for one in definitions:
         for group in groups:
             with contextlib.suppress(SettingError):
-                if group[0].light == one.light and _collector([*group, one]):
+                alike = (one.light, one.patches) == (group[0].light, group[0].patches)
+                if alike and _collector([*group, one]):
                     group.append(one)
                     break
         else:
@@ -261,11 +263,12 @@ def _groups(definitions: Sequence[Definition]) -> list[list[Definition]]:
     return groups
 
 
-def _collector(group: Sequence[Definition], phi_i: float = 0.0) -> Any:
-    """Receptors of some definitions, the smaller ones first; or one patch."""
+def _collector(group: Sequence[Definition], phi_i: float = 0.0) -> Subdivision:
+    """Receptors of some definitions, the smaller ones first; or their patches."""
     windows = {_turned(window, phi_i) for one in group for window in one.windows}
-    smaller_first = sorted(windows, key=lambda w: (w[2] * w[-1], w))
-    return Receptors(tuple(smaller_first)) if windows else Borders((0, 90), (0, 360))
+    if not windows:
+        return group[0].patches or Borders((0, 90), (0, 360))
+    return Receptors(tuple(sorted(windows, key=lambda w: (w[2] * w[-1], w))))
 
 
 def _turned(window: Window, phi_i: float) -> Window:
@@ -294,7 +297,12 @@ def _within(own: Definition, record: Record, windows: Sequence[Window]) -> Float
         wanted = Receptors(turned)
         found = wanted.patch(patches.points(N_POINTS))
         weights[int(own.lower)] = share = (found < len(turned)).mean(axis=1)
-        if not np.all((share == 0) | (share == 1)):
+        inside, outside = (share[patches.patch(wanted.rims(x))] for x in (-EDGE, EDGE))
+        if (
+            np.any(inside < 1)
+            or np.any(outside > 0)
+            or np.any((share > 0) & (share < 1))
+        ):
             raise SettingError(
                 f"patches must lie within the windows of {own.title} or outside, got "
                 f"{patches!s:.40}: measure with the collector {wanted}"
