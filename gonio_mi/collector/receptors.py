@@ -156,13 +156,6 @@ class Receptors(Subdivision):
             index = xp.where(inside, float(number), index)
         return index
 
-    def rims(self, wider: float) -> Floats:
-        """Points of all rims, of windows that are wider by a part; shape ``(n, 3)``."""
-        grown = (
-            (*w[:2], *(size * (1 + wider) for size in w[2:])) for w in self.windows
-        )
-        return np.concatenate([_rim(window) for window in grown])
-
     def _of_patches(
         self, cones: Sequence[float], rectangles: Sequence[float], hemisphere: float
     ) -> Floats:

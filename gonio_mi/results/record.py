@@ -240,13 +240,12 @@ class Record(MeasuredValues):
         """
         return ask("analysis", "record_quantity")(self, what, over, **how)
 
-    def covariance(self, weights: Any) -> Floats:
+    def covariance(self, weights: Any) -> Any:
         """Covariance of weighted sums of patches, from the batches.
 
         See :func:`gonio_mi.analysis.quantities.functionals.covariance`.
         """
-        found: Floats = ask("analysis", "covariance")(self, weights)
-        return found
+        return ask("analysis", "covariance")(self, weights)
 
     def to_xarray(self) -> Any:
         """Labelled arrays; see :func:`gonio_mi.files.netcdf.dataset`."""

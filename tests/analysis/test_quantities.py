@@ -175,7 +175,10 @@ def test_reflectance_factors_of_a_diffuser():
     expected = {"8/di": 0.5, "8/de": 0.5 * (1 - trap), "di/8": 0.5, "45/0": 0.5}
     expected |= {"0/45": 0.5, "brf:receptor=10": 0.5}
     for found in gonio.quantity(list(expected), WHITE, rays=2**22):
-        agrees(found, expected[found.name])
+        if found.name == "8/di":  # exact but for rounding: all rays return
+            assert found.value == pytest.approx(0.5, rel=1e-6)
+        else:
+            agrees(found, expected[found.name])
     included, excluded = gonio.quantity(["di/8", "de/8"], WHITE, rays=2**20)
     # the light of the trap, which is sent by itself
     assert included.value - excluded.value == pytest.approx(0.5 * trap, rel=0.01)
@@ -300,13 +303,18 @@ def half_widths(alpha):
 
 
 def test_half_widths_of_a_lobe():
-    """Integrals of `eval`, interpolated; twin: a roughness of 2 % more."""
-    mirror = {"type": "roughconductor", "alpha": 0.2}
-    inner, outer, asymmetry = gonio.quantity("lobe", mirror, rays=2**22)
-    expected, other = half_widths(0.2), half_widths(0.204)
+    """Integrals of `eval` with lines between, of which parabolas differ by 0.5 %.
+
+    Twin: a roughness of 5 % more.
+    """
+    inner, outer, asymmetry = gonio.quantity(
+        "lobe", {"type": "roughconductor", "alpha": 0.2}, rays=2**20
+    )
+    expected, other = half_widths(0.2), half_widths(0.21)
     for found, width, wider in zip((inner, outer), expected, other):
-        agree(matches(found, width))
-        disagree(matches(found, wider))
+        assert found.std_err < 0.003 * width
+        assert abs(found.value / width - 1) < 0.005 + 4 * found.std_err / width
+        assert abs(found.value / wider - 1) > 0.005 + 4 * found.std_err / width
     whole = inner.value + outer.value
     assert asymmetry.value == pytest.approx((outer.value - inner.value) / whole)
 
@@ -324,21 +332,20 @@ def test_sharing_rays_changes_nothing():
 
 
 def test_a_record_that_resolves_the_aperture_tells_the_same():
-    """Exact, of the same rays; in rings that have the edge of the cone."""
+    """Exact, of the same rays; and sums over rings that have the edge of the cone."""
     alone = gonio.quantity("haze", GLASS, rays=4096)
-    record = gonio.measure(
-        GLASS, theta_i=0, rays=4096, collector="borders:0,2.5,30,90x0,90,360"
-    )
-    found = record.quantity("haze")
-    assert found.value == pytest.approx(alone.value, rel=1e-12)
+    windows = "receptors:0/180/1,0/180/5,30/0/10"
+    record = gonio.measure(GLASS, theta_i=0, rays=4096, collector=windows)
+    assert record.quantity("haze").value == pytest.approx(alone.value, rel=1e-12)
+    rings = "borders:0,2.5,30,90x0,90,360"
+    record = gonio.measure(GLASS, theta_i=0, rays=4096, collector=rings)
     weights = np.zeros((2, 3, 2))
     weights[1, 1:] = 100
     over = np.zeros((2, 3, 2))
     over[1] = 1
     assert record.quantity(weights, over).value == pytest.approx(alone.value, rel=1e-12)
-    coarse = gonio.measure(GLASS, theta_i=0, rays=4096, collector="projected:3x4")
-    with pytest.raises(ValueError, match="must lie within the windows of haze"):
-        coarse.quantity("haze")
+    with pytest.raises(ValueError, match="needs the collector receptors:0"):
+        record.quantity("haze")
     with pytest.raises(ValueError, match="needs light from 60 degrees, a source"):
         record.quantity("gloss60")
 

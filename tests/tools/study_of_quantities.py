@@ -33,7 +33,7 @@ STUDIES = {
     "beads": (SCENES / "beads.xml", "R_A", "R_A:observation=2", "R_L:entrance=-30"),
     "threads": (SCENES / "crossed_threads.xml", "openness", "diffuse", "haze"),
 }
-TRUTH = 10**8
+TRUTH = 3 * 10**7
 
 
 def stated(specimen, names, **settings):

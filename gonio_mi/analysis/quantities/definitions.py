@@ -74,11 +74,6 @@ class Definition:
     curve: Callable[[Floats], float] | None = None
 
     @property
-    def windows(self) -> tuple[Window, ...]:
-        """All its windows."""
-        return (*self.receptors, *self.without, *(self.over or ()))
-
-    @property
     def light(self) -> str:
         """Incident light in words: quantities of the same may share rays."""
         size = " x ".join(f"{angle:.3g}" for angle in self.beam)
@@ -227,8 +222,10 @@ def transmitted(
 def lobe(what: str, theta_i: float = 45.0, step: float = 1.0) -> Definition:
     """Half width at half maximum on one side of the mirror direction, or asymmetry.
 
-    The maximum is that of the mean BRDF in patches of `step` x 2 `step` degrees about
-    the plane of incidence, between which it is linear.
+    Of the mean BRDF in patches of `step` x 2 `step` degrees about the plane of
+    incidence. The maximum is that of a parabola through patches above 0.85 of the
+    largest, and half of it that of one through those within half of it to either side:
+    a single patch is noise, whose largest is too large.
     """
     first = theta_i + step * (0.5 - np.ceil(theta_i / step))
     edges = np.arange(first if first > step / 4 else first + step, 90.0, step)
@@ -239,14 +236,20 @@ def lobe(what: str, theta_i: float = 45.0, step: float = 1.0) -> Definition:
 
     def curve(fractions: Floats) -> float:
         radiance, ends = (fractions / solid)[1:-1, 1], []
-        half, peak = radiance.max() / 2, int(radiance.argmax())
+        # parabolas through noise: one of the top, and one of each slope
+        top = middles[radiance > 0.85 * radiance.max()]
+        near = np.abs(middles - np.median(top)) <= max(np.ptp(top) / 2, 1.5 * step)
+        a, b, c = np.polyfit(middles[near], radiance[near], 2)
+        peak, half = -b / (2 * a), c / 2 - b**2 / (8 * a)
         for sign in (-1, 1):
-            values, angles = radiance[peak::sign], middles[peak::sign]
-            n = int(np.append(values < half, True).argmax())
-            if not 2 <= n < len(values):
+            side = sign * (middles - peak) > 0
+            slope = side & (np.abs(radiance / half - 1) < 0.5)
+            if a >= 0 or slope.sum() < 3 or radiance[side].min() > half:
                 text = "step must resolve a lobe that falls to half above the horizon"
                 raise SettingError(f"{text}, got {step:g} degrees")
-            end = np.interp(half, values[[n, n - 1]], angles[[n, n - 1]])
+            x = middles[slope]
+            roots = np.roots(np.polyfit(x, radiance[slope], 2) - [0, 0, half]).real
+            end = roots[np.abs(roots - np.median(x)).argmin()]
             ends.append(float(sign * (end - theta_i)))
         inner, outer = ends
         found = {"inner": inner, "outer": outer}

@@ -149,11 +149,10 @@ def _reduced(estimates: Estimates, weights: Floats, over: Floats | None) -> Esti
             changes["fates"] = fates = np.zeros_like(tally.fates)
             fates[0, Fate.REFLECTED] = tally.hits[over > 0].sum()
     if isinstance(tally, Integrals):
-        share = 0.0 if over is None else sums.sum(axis=0) / changes["incident"].sum(0)
-        error = _summed(tally.errors[None], np.abs(weights))[0]
+        spread = np.abs(weights)
         if over is not None:
-            error = error + share * _summed(tally.errors[None], over)[0]
-        changes["errors"] = error[None, None, None]
+            spread = spread + over * float(statistics.ratio(sums, changes["incident"]))
+        changes["errors"] = _summed(tally.errors[None], spread)[None, None]
     kind = Integrals if isinstance(tally, Integrals) else Tally
     return replace(estimates, tally=kind(**changes))
 

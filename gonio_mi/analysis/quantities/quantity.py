@@ -11,7 +11,7 @@ import numpy as np
 
 from ...array_types import Floats
 from ...campaigns.measure import measure
-from ...collector import EDGE, Borders, Receptors, Subdivision
+from ...collector import Borders, Receptors, Subdivision
 from ...collector.receptors import Window, holds
 from ...errors import SettingError, checked_choice, checked_number
 from ...exchange.exports.daylight import VISIBLE, VISIBLE_NM, lit_by, luminous
@@ -19,14 +19,12 @@ from ...instrument.loading import load_specimen, loaded_once
 from ...instrument.specimen_text import SpecimenLike
 from ...progress import counted
 from ...results.record import Record
+from ..comparison.measure_like import far_source
 from .definitions import DEFINITIONS, GROUPS, Definition
 from .functionals import checked_weights, difference, jackknifed, ratio
 
 # Distance of a source, in extents of the specimen: a parallax of 6e-4 degrees.
 DISTANCE = 1e5
-
-# Points along each side of a patch that tell on which side of a rim it is.
-N_POINTS = 8
 
 
 @dataclass(frozen=True)
@@ -42,7 +40,7 @@ class Quantity:
         Of 95 %. Where few rays arrived it is that of their number.
     hits : int
         Rays that it is known by.
-    title, unit, geometry, source : str
+    definition : Definition
         What was simulated, and where the quantity is defined.
     settings : mapping
         Of the measurement, as of a record.
@@ -53,10 +51,7 @@ class Quantity:
     std_err: float
     interval: tuple[float, float]
     hits: int
-    title: str
-    unit: str
-    geometry: str
-    source: str
+    definition: Definition
     settings: Mapping[str, Any]
 
     @classmethod
@@ -65,21 +60,24 @@ class Quantity:
     ) -> "Quantity":
         """Quantity of a definition, and what is estimated of a record."""
         value, std_err, low, high = estimate.tolist()
-        words = own.title, own.unit, own.geometry, own.source
-        return cls(name, value, std_err, (low, high), hits, *words, record.settings)
+        return cls(name, value, std_err, (low, high), hits, own, record.settings)
 
     def __str__(self) -> str:
-        unit, (low, high) = self.unit and f" {self.unit}", self.interval
+        own, (low, high) = self.definition, self.interval
+        unit = own.unit and f" {own.unit}"
         text = f"{self.value:.5g}{unit} +- {self.std_err:.2g}"
         text += f" (95 %: {low:.5g} to {high:.5g})"
         if not self.hits and np.isnan(self.std_err):
             text = f"0, at most {high:.3g}{unit}: no ray arrived"
-        more = f"{self.title}: {self.geometry}; {self.hits} rays arrived. {self.source}"
+        more = f"{own.title}: {own.geometry}; {self.hits} rays arrived. {own.source}"
         return f"{self.name}: {text}\n    {more}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return all of it in JSON's types; None for what is not known."""
-        known = vars(self) | {"interval": list(self.interval)}
+        words = ("title", "unit", "geometry", "source")
+        known = vars(self) | {one: getattr(self.definition, one) for one in words}
+        known |= {"interval": list(self.interval)}
+        del known["definition"]
         return known if self.std_err == self.std_err else known | {"std_err": None}
 
 
@@ -156,8 +154,8 @@ def record_quantity(
     Parameters
     ----------
     record : Record
-        Of one incident direction. For a name it is that of the quantity, and each patch
-        lies within its windows or outside: rings whose edges they are, or receptors.
+        Of one incident direction. For a name it is that of the quantity, and the
+        collector has its windows among its receptors.
     what : str or array_like, shape (n_hemispheres, n_rows, n_columns)
         Or weights of ``flux_fraction``, of either sign.
     over : array_like, optional
@@ -166,8 +164,7 @@ def record_quantity(
     Raises
     ------
     TypeError, ValueError
-        If a patch is on both sides of a window's rim, or the quantity needs another
-        light than the record's.
+        If the collector or the light is not that of the quantity.
     """
     if record.stacked:
         raise SettingError("a quantity is of one incident direction: take record[0]")
@@ -208,7 +205,7 @@ def evaluated(own: Definition, record: Record) -> tuple[Floats, int]:
     Raises
     ------
     ValueError
-        If nothing is transmitted, or a patch is on both sides of a rim.
+        If nothing is transmitted, or the collector lacks a window.
     """
     name, over = record.provenance.name, None
     weights = _within(own, record, own.receptors)
@@ -235,16 +232,9 @@ def _light(own: Definition, extent: float) -> dict[str, Any]:
         return {"theta_i": 0.0, "incident": Borders((0, 90), (0, 360))}
     light: dict[str, Any] = {"theta_i": own.theta_i}
     if own.beam:
-        distance = DISTANCE * extent
-        sides = np.tan(np.radians([own.beam[0], own.beam[-1]]) / 2) * distance
-        above = mi.ScalarTransform4f().translate([0, 0, distance])
-        is_round = len(own.beam) == 1
-        light["emission"] = "radiometric" if is_round else "equal_power"
-        light["emitter"] = {
-            "type": "disk" if is_round else "rectangle",
-            "to_world": above.rotate([1, 0, 0], 180).scale([*sides.tolist(), 1]),
-            "emitter": {"type": "area", "radiance": {"type": "spectrum", "value": 1.0}},
-        }
+        half_angles = [angle / 2 for angle in own.beam]
+        light["emitter"] = far_source(half_angles, DISTANCE * extent)
+        light["emission"] = ("radiometric", "equal_power")[len(half_angles) - 1]
     return light
 
 
@@ -265,7 +255,8 @@ def _groups(definitions: Sequence[Definition]) -> list[list[Definition]]:
 
 def _collector(group: Sequence[Definition], phi_i: float = 0.0) -> Subdivision:
     """Receptors of some definitions, the smaller ones first; or their patches."""
-    windows = {_turned(window, phi_i) for one in group for window in one.windows}
+    parts = [(*x.receptors, *x.without, *(x.over or ())) for x in group]
+    windows = {_turned(window, phi_i) for part in parts for window in part}
     if not windows:
         return group[0].patches or Borders((0, 90), (0, 360))
     return Receptors(tuple(sorted(windows, key=lambda w: (w[2] * w[-1], w))))
@@ -289,22 +280,11 @@ def _within(own: Definition, record: Record, windows: Sequence[Window]) -> Float
     turned = tuple(_turned(window, float(record.phi_i[0])) for window in windows)
     if not windows:
         weights[int(own.lower)] = 1.0
-    elif isinstance(patches, Receptors) and {*turned} <= {*patches.windows}:
+    elif not {*turned} <= {*getattr(patches, "windows", ())}:
+        wanted = f"the collector {Receptors(turned)}"
+        raise SettingError(f"{own.title} needs {wanted}, got {patches!s:.40}")
+    else:
         for i, each in enumerate(patches.windows):
             inside = (each == one or holds(one, each) for one in turned)
             weights[int(own.lower), i] = any(inside)
-    else:
-        wanted = Receptors(turned)
-        found = wanted.patch(patches.points(N_POINTS))
-        weights[int(own.lower)] = share = (found < len(turned)).mean(axis=1)
-        inside, outside = (share[patches.patch(wanted.rims(x))] for x in (-EDGE, EDGE))
-        if (
-            np.any(inside < 1)
-            or np.any(outside > 0)
-            or np.any((share > 0) & (share < 1))
-        ):
-            raise SettingError(
-                f"patches must lie within the windows of {own.title} or outside, got "
-                f"{patches!s:.40}: measure with the collector {wanted}"
-            )
     return weights.reshape(-1, *patches.shape)
