@@ -12,7 +12,7 @@ import lines
 
 # Lines of code: none blank, no comment, no docstring. `python tests/tools/lines.py`.
 BUDGET = {
-    "collector": 910,
+    "collector": 905,
     "settings": 610,
     "results": 2630,
     "files": 1470,
@@ -28,10 +28,10 @@ BUDGET = {
     "entrance": 735,
     "materials": 2625,
     "exchange": 3760,
-    "analysis": 4370,
+    "analysis": 4350,
     "validation": 9390,
 }
-CORE, WHOLE = 17450, 37560
+CORE, WHOLE = 17450, 37550
 ROOMS = functools.cache(lines.rooms)
 HANDBOOK = Path(__file__).parents[2] / "notebooks" / "how_it_is_built.md"
 

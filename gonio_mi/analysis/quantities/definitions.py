@@ -239,13 +239,15 @@ def lobe(what: str, theta_i: float = 45.0, step: float = 1.0) -> Definition:
         # parabolas through noise: one of the top, and one of each slope
         top = middles[radiance > 0.85 * radiance.max()]
         near = np.abs(middles - np.median(top)) <= max(np.ptp(top) / 2, 1.5 * step)
+        text = "step must resolve a lobe that falls to half above the horizon"
+        if near.sum() < 3:
+            raise SettingError(f"{text}, got {step:g} degrees")
         a, b, c = np.polyfit(middles[near], radiance[near], 2)
         peak, half = -b / (2 * a), c / 2 - b**2 / (8 * a)
         for sign in (-1, 1):
             side = sign * (middles - peak) > 0
             slope = side & (np.abs(radiance / half - 1) < 0.5)
             if a >= 0 or slope.sum() < 3 or radiance[side].min() > half:
-                text = "step must resolve a lobe that falls to half above the horizon"
                 raise SettingError(f"{text}, got {step:g} degrees")
             x = middles[slope]
             roots = np.roots(np.polyfit(x, radiance[slope], 2) - [0, 0, half]).real

@@ -245,7 +245,7 @@ def _groups(definitions: Sequence[Definition]) -> list[list[Definition]]:
         for group in groups:
             with contextlib.suppress(SettingError):
                 alike = (one.light, one.patches) == (group[0].light, group[0].patches)
-                if alike and _collector([*group, one]):
+                if alike and _collector([*group, one]).n_patches:
                     group.append(one)
                     break
         else:
@@ -280,7 +280,7 @@ def _within(own: Definition, record: Record, windows: Sequence[Window]) -> Float
     turned = tuple(_turned(window, float(record.phi_i[0])) for window in windows)
     if not windows:
         weights[int(own.lower)] = 1.0
-    elif not {*turned} <= {*getattr(patches, "windows", ())}:
+    elif not (isinstance(patches, Receptors) and {*turned} <= {*patches.windows}):
         wanted = f"the collector {Receptors(turned)}"
         raise SettingError(f"{own.title} needs {wanted}, got {patches!s:.40}")
     else:
