@@ -28,7 +28,7 @@ BUDGET = {
     "entrance": 735,
     "materials": 2625,
     "exchange": 3760,
-    "analysis": 4350,
+    "analysis": 4355,
     "validation": 9390,
 }
 CORE, WHOLE = 17450, 37550
