@@ -267,7 +267,11 @@ def test_retroreflection_of_a_diffuser():
     how = {"estimator": "next_event", "trace": True, "rays": 2**14}
     cosines = np.cos(np.radians([30, 32]))
     for found, part in zip(gonio.quantity(names, WHITE, **how), (cosines[1], 1)):
-        agrees(found, 0.5 / np.pi * cosines[0] * part)
+        expected = 0.5 / np.pi * cosines[0] * part
+        # each point adds the same: what is left is single precision's, which the
+        # interval allows for
+        assert found.interval[0] < expected < found.interval[1]
+        assert not found.interval[0] < 1.01 * expected < found.interval[1]
 
 
 def test_beads_send_light_back():
