@@ -14,6 +14,7 @@ from .analysis.micro_normals import (
     MicroNormals as MicroNormals,
     micro_normals as micro_normals,
 )
+from .analysis.quantities import Quantity as Quantity, quantity as quantity
 from .campaigns.campaign import campaign as campaign
 from .campaigns.measure import measure as measure
 from .collector import (

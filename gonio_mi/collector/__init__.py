@@ -11,6 +11,7 @@ from .equal_steps import (
 from .hemisphere import EDGE, RingsAndSectors, Subdivision
 from .klems import Klems
 from .parsing import subdivision
+from .receptors import Receptors
 
 __all__ = [
     "Apertures",
@@ -21,6 +22,7 @@ __all__ = [
     "EqualSine",
     "EqualSolidAngle",
     "Klems",
+    "Receptors",
     "RingsAndSectors",
     "Subdivision",
     "adapted",

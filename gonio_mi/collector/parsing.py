@@ -13,6 +13,7 @@ from .equal_steps import (
 )
 from .hemisphere import Subdivision
 from .klems import KLEMS
+from .receptors import Receptors
 from .shirley_chiu import ShirleyChiu
 
 _KINDS: dict[str, Callable[[int, int], Subdivision]] = {
@@ -30,10 +31,12 @@ def subdivision(text: str | Subdivision) -> Subdivision:
         ``angle``, ``solid``, ``projected`` or ``sine``, a colon, rings, ``x``, sectors;
         or ``borders:`` and the edges in degrees, ``borders:0,30,90x0,180,360``;
         or ``apertures:`` and cones, see
-        :class:`~gonio_mi.collector.apertures.Apertures`; or ``klems``, ``klems-half``
-        or ``klems-quarter``, see :class:`~gonio_mi.collector.klems.Klems`. A
-        subdivision is returned as it is. ``shirley-chiu:16`` are the cells of tensor
-        trees, see :class:`~gonio_mi.collector.shirley_chiu.ShirleyChiu`.
+        :class:`~gonio_mi.collector.apertures.Apertures`; or ``receptors:`` and windows,
+        see :class:`~gonio_mi.collector.receptors.Receptors`; or ``klems``,
+        ``klems-half`` or ``klems-quarter``, see
+        :class:`~gonio_mi.collector.klems.Klems`. A subdivision is returned as it is.
+        ``shirley-chiu:16`` are the cells of tensor trees, see
+        :class:`~gonio_mi.collector.shirley_chiu.ShirleyChiu`.
 
     Raises
     ------
@@ -53,8 +56,8 @@ def subdivision(text: str | Subdivision) -> Subdivision:
     try:
         if name == Borders.name:
             return Borders(_numbers(rings), _numbers(sectors))
-        if name == Apertures.name:
-            return Apertures.parse(size)
+        if name in (Apertures.name, Receptors.name):
+            return (Apertures if name == Apertures.name else Receptors).parse(size)
     except SettingError as error:
         raise SettingError(shortened(f"collector {shown(text)}: {error}")) from None
     except ValueError:  # of a word that is no number, or lacks one

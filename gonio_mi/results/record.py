@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ..annexes import ask
 from ..array_types import Floats
 from ..errors import SettingError, abridged, printable, shown
 from ..settings import MeasurementSettings
@@ -231,6 +232,20 @@ class Record(MeasuredValues):
     def plot(self, path: str | PathLike[str] | None = None, *, index: int = 0) -> Any:
         """Figure of one incident direction; see :func:`gonio_mi.plot`."""
         return _done_by("plotter")(self, path, index=index)
+
+    def quantity(self, what: Any, over: Any = None, **how: Any) -> Any:
+        """Quantity of a name, or a weighted sum of patches, with its uncertainty.
+
+        See :func:`gonio_mi.analysis.quantities.quantity.record_quantity`.
+        """
+        return ask("analysis", "record_quantity")(self, what, over, **how)
+
+    def covariance(self, weights: Any) -> Any:
+        """Covariance of weighted sums of patches, from the batches.
+
+        See :func:`gonio_mi.analysis.quantities.functionals.covariance`.
+        """
+        return ask("analysis", "covariance")(self, weights)
 
     def to_xarray(self) -> Any:
         """Labelled arrays; see :func:`gonio_mi.files.netcdf.dataset`."""

@@ -34,6 +34,7 @@ RAYS, TOLERANCE = 1e5, 0.3
 FAST = {
     "bsdf": ["--rays", "64"],
     "chart": ["--seconds", "0.3"],
+    "quantity": ["--rays", "1e4"],
     "surface": ["--points", "1e4"],
     "validate": ["--effort", "quick"],
 }

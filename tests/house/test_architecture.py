@@ -52,6 +52,7 @@ IN_ANNEXES = (
     "analysis.comparison",
     "analysis.fitting",
     "analysis.charts",
+    "analysis.quantities",
     "analysis.commands",
     "analysis",
     "validation",

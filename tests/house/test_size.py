@@ -12,9 +12,9 @@ import lines
 
 # Lines of code: none blank, no comment, no docstring. `python tests/tools/lines.py`.
 BUDGET = {
-    "collector": 770,
+    "collector": 905,
     "settings": 610,
-    "results": 2625,
+    "results": 2630,
     "files": 1470,
     "surfaces": 720,
     "plots": 830,
@@ -28,10 +28,10 @@ BUDGET = {
     "entrance": 735,
     "materials": 2625,
     "exchange": 3740,
-    "analysis": 3830,
-    "validation": 9130,
+    "analysis": 4310,
+    "validation": 9175,
 }
-CORE, WHOLE = 17300, 36610
+CORE, WHOLE = 17440, 37280
 ROOMS = functools.cache(lines.rooms)
 HANDBOOK = Path(__file__).parents[2] / "notebooks" / "how_it_is_built.md"
 

@@ -226,6 +226,29 @@ class ConeAroundWi:
 
 
 @unusual()
+class RetroreflectiveLobe:
+    """Light goes back about where it came from: a power of the cosine about wi."""
+
+    components = lobes("GlossyReflection FrontSide")
+    power = 50
+
+    def value(self, ctx, si, wo):
+        lobe = dr.maximum(dr.dot(si.wi, wo), 0) ** self.power
+        norm = (self.power + 1) * 0.5 * dr.inv_pi
+        return mi.Spectrum(0.7 * norm * lobe * mi.Frame3f.cos_theta(wo))
+
+    def density(self, ctx, si, wo):
+        lobe = dr.maximum(dr.dot(si.wi, wo), 0) ** self.power
+        return (self.power + 1) * 0.5 * dr.inv_pi * lobe
+
+    def direction(self, ctx, si, sample1, sample2):
+        height = sample2.x ** (1 / (self.power + 1))
+        sine = dr.sqrt(dr.maximum(1 - height * height, 0))
+        sin, cos = dr.sincos(2 * dr.pi * sample2.y)
+        return mi.Frame3f(si.wi).to_world(mi.Vector3f(sine * cos, sine * sin, height))
+
+
+@unusual()
 class TinyLobe(Coat):
     """Its second lobe has a hundred-thousandth of the light, and half of the rays."""
 

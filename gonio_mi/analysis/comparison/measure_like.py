@@ -148,7 +148,8 @@ def _like_table(
                 f"divergence applies to a collimated beam, but {table.name} has an "
                 f"emitter_half_angle of {table.emitter_half_angle:g} degrees"
             )
-        settings.setdefault("emitter", _round_source(table))
+        distance = table.emitter_distance or FAR_DISTANCE
+        settings.setdefault("emitter", far_source([table.emitter_half_angle], distance))
     nm = wavelengths_nm([table.channel or ""])
     if nm is not None and mi.is_spectral:
         settings.setdefault("wavelengths", nm.tolist())
@@ -318,13 +319,15 @@ def _like_record(
     return stack if record.stacked else stack[0]
 
 
-def _round_source(table: MeasuredTable) -> dict[str, Any]:
-    """Disk of uniform radiance above the specimen, that faces it."""
-    distance = table.emitter_distance or FAR_DISTANCE
-    radius = float(distance * np.tan(np.radians(table.emitter_half_angle)))
+def far_source(half_angles: Sequence[float], distance: float) -> dict[str, Any]:
+    """Source of uniform radiance above the specimen, that faces it.
+
+    A disk of one half-angle in degrees, or a rectangle of two, along x and y.
+    """
+    sides = [float(distance * np.tan(np.radians(angle))) for angle in half_angles]
     above = mi.ScalarTransform4f().translate([0, 0, distance])
     return {
-        "type": "disk",
-        "to_world": above.rotate([1, 0, 0], 180).scale([radius, radius, 1]),
+        "type": "disk" if len(sides) == 1 else "rectangle",
+        "to_world": above.rotate([1, 0, 0], 180).scale([sides[0], sides[-1], 1]),
         "emitter": {"type": "area", "radiance": {"type": "spectrum", "value": 1.0}},
     }

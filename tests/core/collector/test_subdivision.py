@@ -42,6 +42,9 @@ EVERY += [str(uneven(n, m)) for n, m in SIZES]
 EVERY += ["borders:0.0,30.0,90.0x0.0,180.0,360.0", "klems", "klems-half"]
 EVERY += ["klems-quarter", *(f"shirley-chiu:{n}" for n in (2, 6, 16, 256))]
 EVERY += ["apertures:5.0@30.0/0.0,20.0/90.0"]
+EVERY += [
+    "receptors:20.0/180.0/1.8/3.6,21.9/180.0/1.8/3.6,20.0/40.0/70.0,85.0/10.0/4.0"
+]
 
 
 @pytest.mark.parametrize("text", EVERY, ids=lambda text: text[:24])
@@ -76,7 +79,7 @@ def test_every_subdivision(text):
     found, held = patches.detectors(middles)
     assert np.array_equal(found, numbers)
     assert held.all()
-    if 20 < n <= 300 or "apertures" in text:
+    if 20 < n <= 300 or patches.axes is not None:
         sin2, phi = np.random.default_rng(2).random((2, 100_000))
         v = direction(np.arcsin(np.sqrt(sin2)), 2 * np.pi * phi)
         counts = np.bincount(patches.patch(v), minlength=n)

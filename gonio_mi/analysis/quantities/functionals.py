@@ -1,0 +1,162 @@
+"""Sums over patches, their ratios and other functions, with errors from the batches.
+
+Patches of one run are correlated, which the scatter of sums knows.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...array_types import Floats, Numbers
+from ...errors import SettingError
+from ...results import statistics
+from ...results.estimates import Estimates
+from ...results.record import Record
+from ...results.tally import Fate, Integrals, Tally, without_chance
+
+# Of all intervals.
+LEVEL = 0.95
+
+
+def difference(one: Floats, other: Floats) -> Floats:
+    """Estimate of a difference of two quantities, of rays of their own.
+
+    Each limit is as far from the value as those of both are, added in squares (Zou and
+    Donner 2008, Statistics in Medicine 27, 1693).
+
+    Parameters
+    ----------
+    one, other : ndarray, shape (4,)
+        Value, standard error and limits.
+    """
+    value = one[0] - other[0]
+    std_err = np.sqrt(np.nansum([one[1] ** 2, other[1] ** 2]))
+    below = np.hypot(one[0] - one[2], other[3] - other[0])
+    above = np.hypot(one[3] - one[0], other[0] - other[2])
+    return np.array([value, std_err, value - below, value + above])
+
+
+def ratio(record: Record, weights: Floats, over: Floats | None = None) -> Floats:
+    """Weighted flux of a record of one channel, over what came or another such flux.
+
+    By the error of a ratio of sums, and limits of :meth:`Record.interval`.
+
+    Parameters
+    ----------
+    record : Record
+        Of one incident direction.
+    weights, over : ndarray, shape (n_hemispheres, n_rows, n_columns)
+        Weights of flux fractions, those of `over` of at least 0; None for all that
+        came.
+
+    Returns
+    -------
+    ndarray, shape (4,)
+        Value, standard error and limits.
+    """
+    if over is not None and np.all(weights >= 0) and np.any(weights > over):
+        # of flux that is no part of the other: p / (1 - p), for the part p of both
+        part = ratio(record, weights, over + weights)
+        with np.errstate(divide="ignore"):
+            found = part / (1 - np.minimum(part, 1.0))
+        found[1] = part[1] / (1 - part[0]) ** 2
+        return np.asarray(found)
+    one = _reduced(record.estimates[0], weights, over)
+    value, std_err = one.fraction(0).ravel(), one.std_err(0).ravel()
+    if value < 0:  # which no flux is
+        std_err = _reduced(record.estimates[0], -weights, over).std_err(0).ravel()
+    if np.all(weights >= 0):
+        return np.concatenate([value, std_err, *map(np.ravel, one.interval(0, LEVEL))])
+    signs = (np.maximum(sign * weights, 0) for sign in (1, -1))
+    _, _, low, high = difference(*(ratio(record, part, over) for part in signs))
+    # limits of correlated sums, and no nearer than where rays are few
+    ends = statistics.student_interval(value, std_err, one.tally.n_batches, LEVEL)
+    return np.concatenate(
+        [value, std_err, np.fmin(ends[0], low), np.fmax(ends[1], high)]
+    )
+
+
+def jackknifed(record: Record, curve: Callable[[Floats], float]) -> Floats:
+    """Function of the map of reflected flux fractions, with its error and limits.
+
+    Of a record of one channel. Its error is that of leaving out one batch after the
+    other (Efron 1982, *The Jackknife*), and its limits are Student's t.
+    """
+    (tally,) = record.tallies
+    sums, came = tally.sums[:, 0, :, :, 0].astype(float), tally.incident[:, 0]
+    value, n = curve(sums.sum(axis=0) / came.sum()), len(sums)
+    std_err = 0.0 if without_chance(record.tallies) else np.nan
+    if n > 1:
+        kept = zip(sums.sum(axis=0) - sums, came.sum() - came)
+        std_err = float(np.std([curve(s / c) for s, c in kept]) * np.sqrt(n - 1))
+    numbers = np.array([value]), np.array([std_err])
+    return np.ravel([*numbers, *statistics.student_interval(*numbers, n, LEVEL)])
+
+
+def covariance(record: Record, weights: ArrayLike) -> Floats:
+    """Covariance of weighted sums of flux fractions, estimated from the batches.
+
+    Of integrals, whose errors are no matter of chance, it is 0.
+
+    Parameters
+    ----------
+    weights : array_like, shape (n, n_hemispheres, n_rows, n_columns)
+        One row of weights of the record's ``flux_fraction`` for each sum.
+
+    Returns
+    -------
+    ndarray, shape (channels, n, n)
+        For a stack with the incident direction as first axis; NaN of a single batch.
+    """
+    rows, found = checked_weights(record, weights), []
+    for tally in record.tallies:
+        sums = np.einsum("khrc,bhrcs->bsk", rows, tally.sums.astype(float))
+        came = tally.incident[..., None].astype(float)
+        residual = (sums - statistics.ratio(sums, came) * came) / came.sum(axis=0)
+        n = len(sums)
+        scale = n / (n - 1) if n > 1 else 0.0 if without_chance([tally]) else np.nan
+        found.append(scale * np.einsum("bsk,bsl->skl", residual, residual))
+    return np.array(found) if record.stacked else found[0]
+
+
+def checked_weights(record: Record, weights: ArrayLike) -> Floats:
+    """Weights as an array ``(n, n_hemispheres, n_rows, n_columns)``, or ValueError."""
+    rows = np.asarray(weights, dtype=float)
+    shape = (record.n_hemispheres, *record.subdivision.shape)
+    if rows.ndim != 4 or rows.shape[1:] != shape or not np.isfinite(rows).all():
+        raise SettingError(
+            f"weights must be finite, of the shape (n, {', '.join(map(str, shape))}), "
+            f"got the shape {rows.shape}"
+        )
+    return rows
+
+
+def _reduced(estimates: Estimates, weights: Floats, over: Floats | None) -> Estimates:
+    """Estimates of one patch that receives the weighted flux of all patches."""
+    tally = estimates.tally
+    names = ("direct", "fates", "incident", "scale")
+    changes: dict[str, Any] = {name: getattr(tally, name) for name in names}
+    changes["hits"] = tally.hits[weights != 0].sum(dtype=np.uint64).reshape(1, 1, 1)
+    sums = _summed(tally.sums, weights)
+    changes["sums"] = sums[:, None, None, None]
+    if over is not None:
+        changes["incident"] = _summed(tally.sums, over)
+        if not getattr(estimates, "deposited", False):
+            # to the light that is divided by, its own rays are all there are
+            changes["fates"] = fates = np.zeros_like(tally.fates)
+            fates[0, Fate.REFLECTED] = tally.hits[over > 0].sum()
+    if isinstance(tally, Integrals):
+        spread = np.abs(weights)
+        if over is not None:
+            spread = spread + over * float(statistics.ratio(sums, changes["incident"]))
+        changes["errors"] = _summed(tally.errors[None], spread)[None, None]
+    kind = Integrals if isinstance(tally, Integrals) else Tally
+    return replace(estimates, tally=kind(**changes))
+
+
+def _summed(sums: Numbers, weights: Floats) -> Floats:
+    """Weighted sum over patches, per batch and channel."""
+    return np.asarray(np.einsum("hrc,bhrcs->bs", weights, sums.astype(float)))

@@ -1,0 +1,290 @@
+"""Quantities of a specimen, measured in the geometry of each, or of a record."""
+
+import contextlib
+import inspect
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from ...array_types import Floats
+from ...campaigns.measure import measure
+from ...collector import Borders, Receptors, Subdivision
+from ...collector.receptors import Window, holds
+from ...errors import SettingError, checked_choice, checked_number
+from ...exchange.exports.daylight import VISIBLE, VISIBLE_NM, lit_by, luminous
+from ...instrument.loading import load_specimen, loaded_once
+from ...instrument.specimen_text import SpecimenLike
+from ...progress import counted
+from ...results.record import Record
+from ..comparison.measure_like import far_source
+from .definitions import DEFINITIONS, GROUPS, Definition
+from .functionals import checked_weights, difference, jackknifed, ratio
+
+# Distance of a source, in extents of the specimen: a parallax of 6e-4 degrees.
+DISTANCE = 1e5
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What an instrument would state, and how well it is known.
+
+    Attributes
+    ----------
+    name : str
+    value, std_err : float
+        Standard uncertainty: NaN where nothing was received, or from a single batch.
+    interval : (float, float)
+        Of 95 %. Where few rays arrived it is that of their number.
+    hits : int
+        Rays that it is known by.
+    definition : Definition
+        What was simulated, and where the quantity is defined.
+    settings : mapping
+        Of the measurement, as of a record.
+    """
+
+    name: str
+    value: float
+    std_err: float
+    interval: tuple[float, float]
+    hits: int
+    definition: Definition
+    settings: Mapping[str, Any]
+
+    @classmethod
+    def of(
+        cls, name: str, own: Definition, record: Record, estimate: Floats, hits: int
+    ) -> "Quantity":
+        """Quantity of a definition, and what is estimated of a record."""
+        value, std_err, low, high = estimate.tolist()
+        return cls(name, value, std_err, (low, high), hits, own, record.settings)
+
+    def __str__(self) -> str:
+        own, (low, high) = self.definition, self.interval
+        unit = own.unit and f" {own.unit}"
+        text = f"{self.value:.5g}{unit} +- {self.std_err:.2g}"
+        text += f" (95 %: {low:.5g} to {high:.5g})"
+        if not self.hits and np.isnan(self.std_err):
+            text = f"0, at most {high:.3g}{unit}: no ray arrived"
+        more = f"{own.title}: {own.geometry}; {self.hits} rays arrived. {own.source}"
+        return f"{self.name}: {text}\n    {more}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return all of it in JSON's types; None for what is not known."""
+        words = ("title", "unit", "geometry", "source")
+        known = vars(self) | {one: getattr(self.definition, one) for one in words}
+        known |= {"interval": list(self.interval)}
+        del known["definition"]
+        return known if self.std_err == self.std_err else known | {"std_err": None}
+
+
+def quantity(
+    name: str | Sequence[str],
+    specimen: SpecimenLike,
+    *,
+    phi_i: float = 0.0,
+    progress: bool = False,
+    **settings: Any,
+) -> Any:
+    """Measure what an instrument would state of a specimen: gloss, haze, R_A and so on.
+
+    Parameters
+    ----------
+    name : str or sequence of str
+        ``"gloss60"``, with parameters ``"R_A:observation=0.33,entrance=5"``, or a name
+        of several: ``"gloss"``. Those of one geometry of light share their rays.
+        :data:`gonio_mi.analysis.quantities.DEFINITIONS` has all of them.
+    specimen : dict, mi.BSDF, mi.Scene, str or path
+        See :func:`gonio_mi.measure`.
+    phi_i : float
+        Azimuth of the plane of incidence in degrees: the rotation of the specimen.
+    progress : bool
+        Show a progress bar on standard error.
+    **settings
+        Of :func:`gonio_mi.measure`, such as `rays` for each geometry, `seed`, `side`
+        and `period`. Several wavelengths of spectral variants, by default 400 to 700 nm
+        in steps of 20 nm, are weighted by illuminant D65 and the photopic observer V,
+        R, G and B by their luminance.
+
+    Returns
+    -------
+    Quantity or tuple of Quantity
+        A tuple for several names or a name of several.
+
+    Raises
+    ------
+    TypeError, ValueError
+        For an unknown name, a setting that the quantity decides, transmission of an
+        opaque specimen, and as :func:`gonio_mi.measure`.
+    """
+    if mi.is_spectral and settings.get("wavelengths") is None:
+        settings["wavelengths"] = VISIBLE_NM
+    words = [name] if isinstance(name, str) else list(name)
+    asked = {one: definition_of(one) for w in words for one in GROUPS.get(w, (w,))}
+    parts = [part for one in asked.values() for part in (one, one.minus) if part]
+    records: dict[int, Record] = {}
+    with loaded_once():
+        given = settings.get("parameters"), settings.get("period")
+        box = load_specimen(specimen, *given).bbox()
+        extent = float(np.abs([box.min, box.max]).max())
+        for group in counted(_groups(parts), progress, unit="geometry"):
+            decided = _light(group[0], extent) | {"collector": _collector(group, phi_i)}
+            record = measure(specimen, phi_i=phi_i, **settings, **decided)
+            records |= {id(one): record for one in group}
+    found = []
+    for one, own in asked.items():
+        estimate, hits = evaluated(own, records[id(own)])
+        if own.minus:
+            less, _ = evaluated(own.minus, records[id(own.minus)])
+            estimate = difference(estimate, less)
+        found.append(Quantity.of(one, own, records[id(own)], estimate, hits))
+    return found[0] if words == [name] and name in asked else tuple(found)
+
+
+def record_quantity(
+    record: Record,
+    what: Any,
+    over: Any = None,
+) -> Quantity:
+    """Quantity that a record tells: one by its name, or any sum over patches.
+
+    Parameters
+    ----------
+    record : Record
+        Of one incident direction. For a name it is that of the quantity, and the
+        collector has its windows among its receptors.
+    what : str or array_like, shape (n_hemispheres, n_rows, n_columns)
+        Or weights of ``flux_fraction``, of either sign.
+    over : array_like, optional
+        Weights of the flux that the sum is divided by, of at least 0.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the collector or the light is not that of the quantity.
+    """
+    if record.stacked:
+        raise SettingError("a quantity is of one incident direction: take record[0]")
+    if isinstance(what, str):
+        own, theta_i = definition_of(what), record.theta_i[0]
+        if own.minus or own.diffuse or abs(theta_i - own.theta_i) > 1e-3:
+            light = f"light from {theta_i:g} degrees"
+            raise SettingError(f"{what} needs {own.light}, got a record of {light}")
+        return Quantity.of(what, own, record, *evaluated(own, record))
+    rows = checked_weights(record, [what] if over is None else [what, over])
+    if np.any(rows[1:] < 0):
+        raise SettingError("over must hold weights of at least 0, got negative ones")
+    own = Definition("weighted sum of patches", "of the record")
+    hits = int(record.counts[rows[0] != 0].sum())
+    estimate = ratio(lit_by(VISIBLE, luminous(record)), *rows)
+    return Quantity.of("sum", own, record, estimate, hits)
+
+
+def definition_of(word: str) -> Definition:
+    """Definition of a name, with the parameters that follow its colon."""
+    name, _, rest = word.partition(":")
+    make = DEFINITIONS[checked_choice("quantity", name, [*DEFINITIONS, *GROUPS])]
+    own = inspect.signature(make).parameters.items()
+    names = [key for key, one in own if type(one.default) is float]
+    given = {}
+    for key, _, value in (
+        pair.partition("=") for pair in filter(None, rest.split(","))
+    ):
+        checked_choice(f"a parameter of {name}", key, names or ["none"])
+        condition = "a number of degrees"
+        given[key] = checked_number(f"{key} of {name}", value, -180, 180, condition)
+    return make(**given)
+
+
+def evaluated(own: Definition, record: Record) -> tuple[Floats, int]:
+    """Estimate of a definition, whose `minus` is left to others, and rays that tell.
+
+    Raises
+    ------
+    ValueError
+        If nothing is transmitted, or the collector lacks a window.
+    """
+    name, over = record.provenance.name, None
+    weights = _within(own, record, own.receptors)
+    if own.without:
+        weights = weights - _within(own, record, own.without)
+    if own.over is not None:
+        over = _within(own, record, own.over)
+        if not record.counts[over > 0].any():
+            raise SettingError(f"{own.title} needs light that leaves, got none: {name}")
+    grey, hits = lit_by(VISIBLE, luminous(record)), record.counts[weights > 0].sum()
+    if own.curve and own.patches == record.subdivision:
+        return jackknifed(grey, own.curve), int(hits)
+    if own.curve:
+        raise SettingError(f"{own.title} needs the collector {own.patches}")
+    return own.scale * ratio(grey, weights, over), int(hits)
+
+
+# ---------------------------------------------------------------- light and receptors
+
+
+def _light(own: Definition, extent: float) -> dict[str, Any]:
+    """Settings of the light that a definition asks for."""
+    if own.diffuse:
+        return {"theta_i": 0.0, "incident": Borders((0, 90), (0, 360))}
+    light: dict[str, Any] = {"theta_i": own.theta_i}
+    if own.beam:
+        half_angles = [angle / 2 for angle in own.beam]
+        light["emitter"] = far_source(half_angles, DISTANCE * extent)
+        light["emission"] = ("radiometric", "equal_power")[len(half_angles) - 1]
+    return light
+
+
+def _groups(definitions: Sequence[Definition]) -> list[list[Definition]]:
+    """Definitions that share light, and whose windows do not overlap."""
+    groups: list[list[Definition]] = []
+    for one in definitions:
+        for group in groups:
+            with contextlib.suppress(SettingError):
+                alike = (one.light, one.patches) == (group[0].light, group[0].patches)
+                if alike and _collector([*group, one]).n_patches:
+                    group.append(one)
+                    break
+        else:
+            groups.append([one])
+    return groups
+
+
+def _collector(group: Sequence[Definition], phi_i: float = 0.0) -> Subdivision:
+    """Receptors of some definitions, the smaller ones first; or their patches."""
+    parts = [(*x.receptors, *x.without, *(x.over or ())) for x in group]
+    windows = {_turned(window, phi_i) for part in parts for window in part}
+    if not windows:
+        return group[0].patches or Borders((0, 90), (0, 360))
+    return Receptors(tuple(sorted(windows, key=lambda w: (w[2] * w[-1], w))))
+
+
+def _turned(window: Window, phi_i: float) -> Window:
+    """The window where the plane of incidence has an azimuth."""
+    return (window[0], (window[1] + phi_i) % 360.0, *window[2:])
+
+
+def _within(own: Definition, record: Record, windows: Sequence[Window]) -> Floats:
+    """1 for patches within windows, or of all the hemisphere; 0 for others."""
+    patches = record.subdivision
+    name = f"{own.title} needs {{}}, got {record.provenance.name}"
+    if own.lower and not record.has_lower:
+        raise SettingError(name.format("transmitted light") + ", which is opaque")
+    if own.lower and record.ledger.missed:
+        text = name.format("a specimen that fills the beam, such as a periodic one")
+        raise SettingError(f"{text}, which light misses")
+    weights = np.zeros((record.n_hemispheres, patches.n_patches))
+    turned = tuple(_turned(window, float(record.phi_i[0])) for window in windows)
+    if not windows:
+        weights[int(own.lower)] = 1.0
+    elif not (isinstance(patches, Receptors) and {*turned} <= {*patches.windows}):
+        wanted = f"the collector {Receptors(turned)}"
+        raise SettingError(f"{own.title} needs {wanted}, got {patches!s:.40}")
+    else:
+        for i, each in enumerate(patches.windows):
+            inside = (each == one or holds(one, each) for one in turned)
+            weights[int(own.lower), i] = any(inside)
+    return weights.reshape(-1, *patches.shape)

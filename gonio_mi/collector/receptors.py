@@ -1,0 +1,232 @@
+"""A collector of receptor windows, each of its own size: field stops of instruments."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ..array_types import Flags, Floats, Singles
+from ..errors import SettingError, shown
+from .directions import direction
+from .hemisphere import EDGE, Subdivision
+
+# Full angles of windows, in degrees: below the first, single precision would show.
+MIN_WIDTH, MAX_WIDTH = 0.02, 179.99
+
+Window = tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Receptors(Subdivision):
+    r"""Round and rectangular windows about given axes, and all that is between them.
+
+    Windows may lie in each other, as a gloss meter's field stop lies in a cone about
+    the mirror direction, but not overlap otherwise; patch ``i`` is window ``i`` without
+    those before it, and the last patch is what no window holds. As a map it has as many
+    rows as patches and one column. A rim belongs to what is outside.
+
+    Parameters
+    ----------
+    windows : sequence of (float, ...)
+        ``(theta, phi, diameter)`` of a round window: polar angle from the pole of the
+        hemisphere, azimuth, and full angle of the cone, in degrees. ``(theta, phi,
+        along, across)`` of a rectangular one: the full angles that it subtends in the
+        plane of its axis and the pole, and across that plane. Its sides lie on great
+        circles: it is a rectangle in the focal plane of a lens, of the sides
+        ``2 tan(along / 2)`` and ``2 tan(across / 2)``. Smaller windows come first.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a window reaches below the horizon, two overlap, or there is none.
+    """
+
+    windows: tuple[Window, ...]
+
+    name: ClassVar[str] = "receptors"
+
+    def __post_init__(self) -> None:
+        windows = tuple(tuple(map(float, window)) for window in self.windows)
+        object.__setattr__(self, "windows", windows)
+        if not windows:
+            raise SettingError("windows must hold at least one window, got none")
+        for i, window in enumerate(windows):
+            if not _is_window(window):
+                raise SettingError(
+                    "a window must be three or four angles in degrees, theta, phi, and "
+                    f"one or two widths of at least {MIN_WIDTH:g}, and lie above the "
+                    f"horizon, got {shown(window)}"
+                )
+            for other in windows[:i]:
+                if window == other or (
+                    not holds(window, other) and _touch(window, other)
+                ):
+                    raise SettingError(
+                        "windows must not overlap, unless a smaller one lies in a "
+                        f"later one, got {other} and {window}"
+                    )
+
+    def __str__(self) -> str:
+        return f"{self.name}:{','.join('/'.join(map(repr, w)) for w in self.windows)}"
+
+    @classmethod
+    def parse(cls, size: str) -> "Receptors":
+        """Build from what follows the colon of a name, ``60.0/180.0/4.4/11.7``."""
+        words = [window.split("/") for window in size.split(",")]
+        return cls(tuple(tuple(map(float, one)) for one in words))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """The windows and what is between them, in one column."""
+        return self.n_detectors + 1, 1
+
+    @property
+    def n_detectors(self) -> int:
+        """Number of windows."""
+        return len(self.windows)
+
+    @property
+    def middles(self) -> tuple[Floats, Floats]:
+        """Polar angles and azimuths of the windows' axes in radians.
+
+        Two arrays of the shape `shape`; NaN for what is between the windows, and of a
+        window about whose axis there is a smaller one.
+        """
+        middles = np.radians([window[:2] for window in self.windows])
+        outside = self.patch(self.axes[:-1]) != np.arange(self.n_detectors)
+        middles = np.vstack([np.where(outside[:, None], np.nan, middles), [np.nan] * 2])
+        return middles[:, :1], middles[:, 1:]
+
+    @property
+    def axes(self) -> Floats:
+        """Axes of the windows as unit vectors, shape ``(n_patches, 3)``; last +z."""
+        return np.array([*(_row(window)[6:9] for window in self.windows), (0, 0, 1)])
+
+    @property
+    def cells(self) -> Floats:
+        """Cone that holds each window, about its axis; the hemisphere for the rest.
+
+        Shape ``(n_patches, 4)``, in radians.
+        """
+        pairs = zip(self.windows, self.axes)
+        reach = [np.arccos(np.min(_rim(window) @ axis)) for window, axis in pairs]
+        return np.array([(0, r, 0, 2 * np.pi) for r in [*reach, np.pi / 2]])
+
+    @property
+    def solid_angles(self) -> Floats:
+        """Exact solid angle of each patch in sr, sum 2 pi; of the shape `shape`.
+
+        Of a rectangle ``4 asin(sin(along / 2) sin(across / 2))``.
+        """
+        sines = [np.sin(np.radians(window[2:]) / 2) for window in self.windows]
+        cones = [4 * np.pi * np.sin(np.radians(w[2]) / 4) ** 2 for w in self.windows]
+        rectangles = [4 * np.arcsin(np.prod(each)) for each in sines]
+        return self._of_patches(cones, rectangles, 2 * np.pi)
+
+    @property
+    def projected_solid_angles(self) -> Floats:
+        """Exact integral of cos(theta) over each patch in sr, sum pi.
+
+        Of a cone ``pi sin^2(a) cos(theta)`` for a half-angle ``a``; of a rectangle half
+        the sum over its sides of their lengths times the heights of their normals
+        (Lambert 1760, *Photometria*). Of the shape `shape`.
+        """
+        cones, rectangles = [], []
+        for window in self.windows:
+            sin2 = np.sin(np.radians(window[2]) / 2) ** 2
+            cones.append(np.pi * sin2 * np.cos(np.radians(window[0])))
+            corners = _rim(window, 4)
+            normals = np.cross(corners, np.roll(corners, -1, axis=0))
+            sines = np.linalg.norm(normals, axis=1)
+            rectangles.append(np.sum(np.arcsin(sines) * normals[:, 2] / sines) / 2)
+        return self._of_patches(cones, rectangles, np.pi)
+
+    def patch_index(self, xp: Any, x: Any, y: Any, z: Any) -> Any:
+        """Index of the first window that holds each direction, or their number.
+
+        See :meth:`Subdivision.patch_index`.
+        """
+        index = x * 0 + float(self.n_detectors)
+        for number, window in reversed(list(enumerate(self.windows))):
+            # from a table, whose values may change without another kernel
+            row = [xp.take(column, x * 0 + float(number)) for column in self._table]
+            inside = _inside(len(window) == 3, row, x, y, z)
+            index = xp.where(inside, float(number), index)
+        return index
+
+    def _of_patches(
+        self, cones: Sequence[float], rectangles: Sequence[float], hemisphere: float
+    ) -> Floats:
+        """Integrals over windows of either kind, and the hemisphere: over patches."""
+        round_ones = [len(window) == 3 for window in self.windows]
+        whole = np.where(round_ones, cones, rectangles)
+        patches = np.append(whole, hemisphere)
+        for i, window in enumerate(self.windows):
+            # the smallest of those that hold it, or the hemisphere
+            later = range(i + 1, self.n_detectors)
+            outer = next((j for j in later if holds(self.windows[j], window)), -1)
+            patches[outer] -= whole[i]
+        return patches[:, None]
+
+    @cached_property
+    def _table(self) -> Singles:
+        """Columns: frame of each window, and the limits of what it holds."""
+        rows = [_row(window) for window in self.windows]
+        return np.array(rows, np.float32).T.copy()
+
+
+def holds(outer: Window, inner: Window) -> bool:
+    """Whether a window lies within another one, and is not all of it."""
+    return outer != inner and bool(_within(outer, _rim(inner), 1 + EDGE).all())
+
+
+def _touch(a: Window, b: Window) -> bool:
+    """Whether part of the rim of one of two windows lies within the other."""
+    return bool(np.any(_within(a, _rim(b))) or np.any(_within(b, _rim(a))))
+
+
+def _within(window: Window, v: Floats, stretch: float = 1 - EDGE) -> Flags:
+    """Whether a window, made wider or narrower by a factor, holds directions."""
+    row = _row((*window[:2], *(stretch * size for size in window[2:])))
+    return np.asarray(_inside(len(window) == 3, row, *v.T))
+
+
+def _inside(is_round: bool, row: Sequence[Any], x: Any, y: Any, z: Any) -> Any:
+    """Whether the window of a row of the table holds directions."""
+    if is_round:  # chords keep their precision for narrow cones
+        u, v, w = x - row[6], y - row[7], z - row[8]
+        return u * u + v * v + w * w < row[9]
+    u, v, w = (x * row[i] + y * row[i + 1] + z * row[i + 2] for i in (0, 3, 6))
+    return (u * u < row[9] * w * w) & (v * v < row[10] * w * w) & (w > 0)
+
+
+def _is_window(window: Window) -> bool:
+    """Whether numbers are those of a window above the horizon."""
+    if len(window) not in (3, 4) or not np.isfinite(window).all():
+        return False
+    fits = min(window[2:]) >= MIN_WIDTH and max(window[2:]) <= MAX_WIDTH
+    return bool(fits and 0 <= window[0] <= 90 and _rim(window)[:, 2].min() > -EDGE)
+
+
+def _row(window: Window) -> list[float]:
+    """Frame of a window, and the limits of what it holds."""
+    theta, phi = np.radians(window[:2])
+    half = np.radians(window[2:]) / 2
+    along, axis = direction(theta + np.pi / 2, phi), direction(theta, phi)
+    limits = [4 * np.sin(half[0] / 2) ** 2, 0] if len(half) == 1 else np.tan(half) ** 2
+    return [*along, -np.sin(phi), np.cos(phi), 0.0, *axis, *limits]
+
+
+def _rim(window: Window, n: int = 64) -> Floats:
+    """`n` points of the rim, a rectangle's corners among them; unit vectors."""
+    turn = (np.arange(n) + n / 8) * (2 * np.pi / n)
+    x, y = np.cos(turn), np.sin(turn)
+    if len(window) == 4:
+        longer = np.maximum(np.abs(x), np.abs(y))
+        x, y = x / longer, y / longer
+    along, across = np.tan(np.radians([window[2], window[-1]]) / 2)
+    local = np.stack([x * along, y * across, np.ones(n)], axis=-1)
+    local /= np.linalg.norm(local, axis=1, keepdims=True)
+    return np.asarray(local @ np.reshape(_row(window)[:9], (3, 3)))
