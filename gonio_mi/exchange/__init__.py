@@ -7,6 +7,8 @@ COMMANDS = {
 PLUGINS: tuple[str, ...] = ()
 OFFERS = {
     "ENDINGS": "exports.exporting",
+    "VISIBLE_NM": "exports.daylight",
+    "seen": "exports.daylight",
     "export": "exports.exporting",
     "endings_of": "formats.reading",
     "format_of": "formats.reading",

@@ -124,7 +124,7 @@ def gloss(title: str, unit: str, source: str, *receptors: Window) -> Definition:
 
 def haze(angle: float = 2.5) -> Definition:
     """Transmitted light that leaves by more than an angle, in per cent of all of it."""
-    title, source = f"haze, beyond {angle:g} degrees", "ASTM D1003, ISO 14782"
+    title, source = f"haze, beyond {angle:g} degrees", "ASTM D1003; from memory"
     own = Definition(title, source, "%", without=((0.0, 180.0, 2 * angle),), over=())
     return replace(own, lower=True, scale=100.0)
 

@@ -9,12 +9,12 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+from ...annexes import ask
 from ...array_types import Floats
 from ...campaigns.measure import measure
 from ...collector import Borders, Receptors, Subdivision
 from ...collector.receptors import Window, holds
 from ...errors import SettingError, checked_choice, checked_number
-from ...exchange.exports.daylight import VISIBLE, VISIBLE_NM, lit_by, luminous
 from ...instrument.loading import load_specimen, loaded_once
 from ...instrument.specimen_text import SpecimenLike
 from ...progress import counted
@@ -121,7 +121,7 @@ def quantity(
         opaque specimen, and as :func:`gonio_mi.measure`.
     """
     if mi.is_spectral and settings.get("wavelengths") is None:
-        settings["wavelengths"] = VISIBLE_NM
+        settings["wavelengths"] = ask("exchange", "VISIBLE_NM")
     words = [name] if isinstance(name, str) else list(name)
     asked = {one: definition_of(one) for w in words for one in GROUPS.get(w, (w,))}
     parts = [part for one in asked.values() for part in (one, one.minus) if part]
@@ -179,7 +179,7 @@ def record_quantity(
         raise SettingError("over must hold weights of at least 0, got negative ones")
     own = Definition("weighted sum of patches", "of the record")
     hits = int(record.counts[rows[0] != 0].sum())
-    estimate = ratio(lit_by(VISIBLE, luminous(record)), *rows)
+    estimate = ratio(_seen(record), *rows)
     return Quantity.of("sum", own, record, estimate, hits)
 
 
@@ -215,7 +215,7 @@ def evaluated(own: Definition, record: Record) -> tuple[Floats, int]:
         over = _within(own, record, own.over)
         if not record.counts[over > 0].any():
             raise SettingError(f"{own.title} needs light that leaves, got none: {name}")
-    grey, hits = lit_by(VISIBLE, luminous(record)), record.counts[weights > 0].sum()
+    grey, hits = _seen(record), record.counts[weights > 0].sum()
     if own.curve and own.patches == record.subdivision:
         return jackknifed(grey, own.curve), int(hits)
     if own.curve:
@@ -288,3 +288,8 @@ def _within(own: Definition, record: Record, windows: Sequence[Window]) -> Float
             inside = (each == one or holds(one, each) for one in turned)
             weights[int(own.lower), i] = any(inside)
     return weights.reshape(-1, *patches.shape)
+
+
+def _seen(record: Record) -> Record:
+    """Record of one channel: the luminance, under D65 where there are wavelengths."""
+    return ask("exchange", "seen")(record) if len(record.channels) > 1 else record

@@ -110,6 +110,11 @@ def luminous(record: Record) -> Record:
     return weighted(record, XYZ[1]) if len(record.channels) == 3 else record
 
 
+def seen(record: Record) -> Record:
+    """Record of the luminance of several channels, under D65; any other as it is."""
+    return lit_by(VISIBLE, luminous(record))
+
+
 def weighted(record: Record, weights: Floats) -> Record:
     """Record of the weighted sum of all channels.
 
