@@ -124,7 +124,7 @@ def gloss(title: str, unit: str, source: str, *receptors: Window) -> Definition:
 
 def haze(angle: float = 2.5) -> Definition:
     """Transmitted light that leaves by more than an angle, in per cent of all of it."""
-    title, source = f"haze, beyond {angle:g} degrees", "ASTM D1003; from memory"
+    title, source = f"haze, beyond {angle:g} degrees", "ASTM D1003; angle unverified"
     own = Definition(title, source, "%", without=((0.0, 180.0, 2 * angle),), over=())
     return replace(own, lower=True, scale=100.0)
 
@@ -139,7 +139,7 @@ def tis(inner: float = 2.5, outer: float = 70.0) -> Definition:
 
 # --------------------------------------------------------------- reflectance factors
 
-_CIE = "CIE 15; full angles of source, receptor and trap from memory"
+_CIE = "CIE 15; full angles of source, receptor and trap unverified"
 
 
 def factor(
@@ -195,7 +195,7 @@ def retroreflection(
     name = "luminance R_L" if luminance else "retroreflection R_A"
     unit = "cd/(m2 lx)" if luminance else "cd/(lx m2)"
     angles = f"observation {observation:g}, entrance {entrance:g} degrees"
-    words = "CIE 54.2, ASTM E808 to E810; apertures of 10 minutes from memory", unit
+    words = "CIE 54.2, ASTM E808 to E810; apertures of 10 minutes unverified", unit
     there = entrance - observation
     window = (abs(there), 0.0 if there * entrance > 0 else 180.0, receptor)
     scale = np.cos(np.radians(entrance)) / Receptors((window,)).solid_angles[0, 0]
@@ -262,8 +262,8 @@ def lobe(what: str, theta_i: float = 45.0, step: float = 1.0) -> Definition:
     return replace(own, patches=patches, curve=curve)
 
 
-_GLOSS = "GU", "ISO 2813, ASTM D523; apertures from memory"
-_BESIDE = "ASTM E430 B, ISO 13803; 18.1 and 21.9 degrees from memory"
+_GLOSS = "GU", "ISO 2813, ASTM D523; apertures unverified"
+_BESIDE = "ASTM E430 B, ISO 13803; 18.1 and 21.9 degrees unverified"
 _HAZE = "HU", _BESIDE, (18.1, 1.8, 3.6), (21.9, 1.8, 3.6)
 _FABRIC = "EN 14500, EN 14501; the cone is ours"
 
