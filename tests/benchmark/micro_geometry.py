@@ -38,7 +38,7 @@ def surface(resolution: int, alpha: float = 0.5) -> dict[str, Any]:
 def gonio_paths(
     resolution: int, sampler: str, batches: int, period: str = "none"
 ) -> Callable[[int, int], float]:
-    """Our instrument, as a user calls it for a scene that is loaded.
+    """Our instrument, as a user calls it again for a scene that is loaded.
 
     Returns
     -------
@@ -46,7 +46,7 @@ def gonio_paths(
         ``send(rays, seed)`` gives the share of the rays that were reflected; the error
         bars of the record are computed too.
     """
-    scene = mi.load_dict({"type": "scene", "surface": surface(resolution)})
+    scene = _scene(resolution)
     how: dict[str, Any] = {"sampler": sampler, "batches": batches, "period": period}
 
     def _send(rays: int, seed: int) -> float:
@@ -60,6 +60,12 @@ def gonio_paths(
         return record.ledger.reflected / rays
 
     return _send
+
+
+@lru_cache(maxsize=1)
+def _scene(resolution: int) -> mi.Scene:
+    """Scene of a surface: the same for all ways, for `measure` keeps the last one."""
+    return mi.load_dict({"type": "scene", "surface": surface(resolution)})
 
 
 def bare_paths(resolution: int, rows: bool) -> Callable[[int, int], float]:
