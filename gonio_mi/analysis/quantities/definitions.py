@@ -240,6 +240,7 @@ def lobe(what: str, theta_i: float = 45.0, step: float = 1.0) -> Definition:
         top = middles[radiance > 0.85 * radiance.max()]
         near = np.abs(middles - np.median(top)) <= max(np.ptp(top) / 2, 1.5 * step)
         text = "step must resolve a lobe that falls to half above the horizon"
+        text += ", and rays must be enough to show it"
         if near.sum() < 3:
             raise SettingError(f"{text}, got {step:g} degrees")
         a, b, c = np.polyfit(middles[near], radiance[near], 2)
