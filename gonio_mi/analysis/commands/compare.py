@@ -57,7 +57,7 @@ from ...surfaces.meshes import MESHES
 USAGE = "%(prog)s RECORD OTHER [options]"
 
 # Settings with which a specimen is measured.
-MEASURED = ("rays", "rel_err", "divergence")
+MEASURED = ("rays", "rel_err", "divergence", "period")
 
 # What names a specimen, and no table.
 SCENES = (".xml", *MESHES)
@@ -85,7 +85,7 @@ def add_options(parser: ArgumentParser) -> None:
         "instrument, calibration and, of a specimen with a table, aperture.",
     )
     specimen = parser.add_argument_group("Specimen")
-    for name in ("rays", "rel_err", "divergence", "seed"):
+    for name in (*MEASURED, "seed"):
         add_setting(specimen, name)
     add_aperture(specimen)
     add_scene_options(parser)

@@ -256,3 +256,20 @@ def test_commands_write_the_budget(tmp_path, capsys):
     assert len(rows) == 2
     instrument = float(rows[0].split(",")[9])
     assert instrument == pytest.approx(0.002, rel=1e-9)
+
+
+def test_a_cell_of_its_own_for_the_other_specimen(tmp_path, capsys):
+    """A cell is the specimen's, not the instrument's; that of the record is too small.
+
+    Alpha: 1e-3, that of the command.
+    """
+    cell = {"type": "rectangle", "bsdf": {"type": "twosided", "bsdf": DIFFUSE}}
+    cell["to_world"] = mi.ScalarTransform4f().scale([0.5, 0.5, 1])
+    file, settings = tmp_path / "cell.npz", {"rays": RAYS, "collector": "angle:8x24"}
+    gonio.measure(cell, 30, period="1,1", **settings).save(file)
+    command = ["compare", str(file), "diffuse:reflectance=0.7"]
+    assert main(command) == 1
+    assert "period must hold the geometry" in capsys.readouterr().err
+    assert main([*command, "--period", "box"]) == 0
+    assert main(["compare", str(file), str(file), "--period", "box"]) == 1
+    assert "--period applies to a specimen" in capsys.readouterr().err
