@@ -223,6 +223,7 @@ def _swept(n: int, side: str, both: bool) -> tuple[Floats, Floats]:
     faces[1::2] *= -1 if both else 1
     wi = direction(*np.radians(angles))
     wi[:, 2] *= faces
+    angles.flags.writeable = wi.flags.writeable = False  # all sweeps share them
     return angles, wi
 
 

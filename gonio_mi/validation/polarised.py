@@ -261,6 +261,7 @@ class _Examination:
         sides = np.sign([self.wi[found, 2], self.lobes.weights.wo[found, 2]])
         kinds = np.array([*sides, self.lobes.type[found]]).T
         _, group = np.unique(kinds, axis=0, return_inverse=True)
+        group = group.ravel()  # in NumPy 2.0.0 it has as many axes as `kinds`
         n = int(group.max()) + 1
         each = max(2, N_PAIRS * self.size // n)
         return np.concatenate([found[group == k][:each] for k in range(n)])

@@ -261,9 +261,9 @@ def _read(path: str | PathLike[str]) -> dict[str, dict[str, Any]]:
 def decoded(text: str) -> dict[str, Any]:
     """Arrays of :func:`.worker.encoded`, in double precision or whole numbers."""
     content = io.BytesIO(base64.b64decode(text, validate=True))
-    kinds = {"f": float, "i": int}
     with np.load(content, allow_pickle=False) as arrays:
-        return {k: x.astype(kinds[x.dtype.kind]) for k, x in arrays.items()}
+        kinds = {k: float if x.dtype.kind == "f" else int for k, x in arrays.items()}
+        return {k: arrays[k].astype(kind) for k, kind in kinds.items()}
 
 
 def _compared(
