@@ -138,9 +138,11 @@ class Receptors(Subdivision):
             sin2 = np.sin(np.radians(window[2]) / 2) ** 2
             cones.append(np.pi * sin2 * np.cos(np.radians(window[0])))
             corners = _rim(window, 4)
-            normals = np.cross(corners, np.roll(corners, -1, axis=0))
+            others = np.roll(corners, -1, axis=0)
+            normals = np.cross(corners, others)
             sines = np.linalg.norm(normals, axis=1)
-            rectangles.append(np.sum(np.arcsin(sines) * normals[:, 2] / sines) / 2)
+            sides = np.arctan2(sines, np.sum(corners * others, axis=1))
+            rectangles.append(np.sum(sides * normals[:, 2] / sines) / 2)
         return self._of_patches(cones, rectangles, np.pi)
 
     def patch_index(self, xp: Any, x: Any, y: Any, z: Any) -> Any:

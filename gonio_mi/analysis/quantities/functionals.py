@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from ...array_types import Floats, Numbers
 from ...errors import SettingError
 from ...results import statistics
-from ...results.estimates import Estimates
+from ...results.estimates import MIN_EVEN_HITS, Estimates
 from ...results.record import Record
 from ...results.tally import Fate, Integrals, Tally, without_chance
 
@@ -69,7 +69,10 @@ def ratio(record: Record, weights: Floats, over: Floats | None = None) -> Floats
     if value < 0:  # which no flux is
         std_err = _reduced(record.estimates[0], -weights, over).std_err(0).ravel()
     if np.all(weights >= 0):
-        return np.concatenate([value, std_err, *map(np.ravel, one.interval(0, LEVEL))])
+        low, high = map(np.ravel, one.interval(0, LEVEL))
+        if over is not None:
+            low, high = _widened(record, weights, over - weights, low, high)
+        return np.concatenate([value, std_err, low, high])
     signs = (np.maximum(sign * weights, 0) for sign in (1, -1))
     _, _, low, high = difference(*(ratio(record, part, over) for part in signs))
     # limits of correlated sums, and no nearer than where rays are few
@@ -77,6 +80,23 @@ def ratio(record: Record, weights: Floats, over: Floats | None = None) -> Floats
     return np.concatenate(
         [value, std_err, np.fmin(ends[0], low), np.fmax(ends[1], high)]
     )
+
+
+def _widened(
+    record: Record, weights: Floats, rest: Floats, low: Floats, high: Floats
+) -> tuple[Floats, Floats]:
+    """Limits of a part, where few rays tell of it or of the rest.
+
+    Those that are missing may be far brighter than the others: of either light its own
+    limits hold, and the part is least where it is least and the rest is most.
+    """
+    hits = record.estimates[0].tally.hits
+    if min(hits[weights > 0].sum(), hits[rest > 0].sum()) >= MIN_EVEN_HITS:
+        return low, high
+    own, other = (ratio(record, one)[2:, None] for one in (weights, rest))
+    with np.errstate(invalid="ignore"):
+        ends = own / (own + other[::-1])
+    return np.fmin(low, ends[0]), np.fmax(high, ends[1])
 
 
 def jackknifed(record: Record, curve: Callable[[Floats], float]) -> Floats:
@@ -151,7 +171,7 @@ def _reduced(estimates: Estimates, weights: Floats, over: Floats | None) -> Esti
     if isinstance(tally, Integrals):
         spread = np.abs(weights)
         if over is not None:
-            spread = spread + over * float(statistics.ratio(sums, changes["incident"]))
+            spread = spread + over * statistics.ratio(sums, changes["incident"]).item()
         changes["errors"] = _summed(tally.errors[None], spread)[None, None]
     kind = Integrals if isinstance(tally, Integrals) else Tally
     return replace(estimates, tally=kind(**changes))

@@ -170,8 +170,10 @@ def record_quantity(
         raise SettingError("a quantity is of one incident direction: take record[0]")
     if isinstance(what, str):
         own, theta_i = definition_of(what), record.theta_i[0]
-        if own.minus or own.diffuse or abs(theta_i - own.theta_i) > 1e-3:
-            light = f"light from {theta_i:g} degrees"
+        parallel = str(record.provenance.emitter).startswith("DirectionalEmitter")
+        off = abs(theta_i - own.theta_i) > 1e-3 or parallel == bool(own.beam)
+        if own.minus or own.diffuse or off:
+            light = f"{'parallel ' * parallel}light from {theta_i:g} degrees"
             raise SettingError(f"{what} needs {own.light}, got a record of {light}")
         return Quantity.of(what, own, record, *evaluated(own, record))
     rows = checked_weights(record, [what] if over is None else [what, over])
@@ -213,7 +215,7 @@ def evaluated(own: Definition, record: Record) -> tuple[Floats, int]:
         weights = weights - _within(own, record, own.without)
     if own.over is not None:
         over = _within(own, record, own.over)
-        if not record.counts[over > 0].any():
+        if not record.flux_fraction[over > 0].any():
             raise SettingError(f"{own.title} needs light that leaves, got none: {name}")
     grey, hits = _seen(record), record.counts[weights > 0].sum()
     if own.curve and own.patches == record.subdivision:
