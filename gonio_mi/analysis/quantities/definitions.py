@@ -235,6 +235,7 @@ def lobe(what: str, theta_i: float = 45.0, step: float = 1.0) -> Definition:
     solid = patches.projected_solid_angles
 
     def curve(fractions: Floats) -> float:
+        """Half width or asymmetry of the radiance in the plane of incidence."""
         radiance, ends = (fractions / solid)[1:-1, 1], []
         # parabolas through noise: one of the top, and one of each slope
         top = middles[radiance > 0.85 * radiance.max()]

@@ -19,6 +19,7 @@ from ...instrument.loading import load_specimen, loaded_once
 from ...instrument.specimen_text import SpecimenLike
 from ...progress import counted
 from ...results.record import Record
+from ...transport.specimen import Specimen
 from ..comparison.measure_like import far_source
 from .definitions import DEFINITIONS, GROUPS, Definition
 from .functionals import checked_weights, difference, jackknifed, ratio
@@ -128,8 +129,7 @@ def quantity(
     records: dict[int, Record] = {}
     with loaded_once():
         given = settings.get("parameters"), settings.get("period")
-        box = load_specimen(specimen, *given).bbox()
-        extent = float(np.abs([box.min, box.max]).max())
+        extent = Specimen(load_specimen(specimen, *given)).reach
         for group in counted(_groups(parts), progress, unit="geometry"):
             decided = _light(group[0], extent) | {"collector": _collector(group, phi_i)}
             record = measure(specimen, phi_i=phi_i, **settings, **decided)
@@ -179,6 +179,8 @@ def record_quantity(
     rows = checked_weights(record, [what] if over is None else [what, over])
     if np.any(rows[1:] < 0):
         raise SettingError("over must hold weights of at least 0, got negative ones")
+    if over is not None and not np.any(record.flux_fraction[rows[1] > 0]):
+        raise SettingError("over must hold patches with light, got none")
     own = Definition("weighted sum of patches", "of the record")
     hits = int(record.counts[rows[0] != 0].sum())
     estimate = ratio(_seen(record), *rows)
