@@ -525,7 +525,7 @@ def test_few_bright_rays_among_dim_ones(monkeypatch):
 
 
 def test_a_scene_of_parallel_panes():
-    """Mitsuba joins its panes, and forgets their box; those of a dictionary are kept."""
+    """Mitsuba joins its panes and forgets their box; a dictionary keeps them apart."""
     panes = {
         f"pane{z}": {
             "type": "rectangle",
