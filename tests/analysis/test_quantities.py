@@ -426,6 +426,22 @@ def test_luminance_of_wavelengths(spectral):  # noqa: ARG001
     assert 0.1 < found.value < 0.3
 
 
+def test_retroreflection_is_lit_by_illuminant_a(spectral):  # noqa: ARG001
+    """Planck's law at 2855.5 K times V; under D65 a red mirror would be far dimmer."""
+    nm = np.arange(380.0, 781)
+    seen = np.array(mi.cie1931_xyz(mi.Float(nm.tolist())))[1]
+    seen *= nm**-5 / np.expm1(1.43878e7 / (2855.5 * nm))
+    expected = np.interp(nm, [600, 620], [0, 1]) @ seen / seen.sum()
+    red = {"type": "irregular", "wavelengths": "380, 600, 620, 780"}
+    grey = {"type": "conductor"}
+    mirror = grey | {"specular_reflectance": red | {"values": "0, 0, 1, 1"}}
+    names = ["R_A:observation=0,entrance=0,receptor=1", "8/di"]
+    found, by_d65 = gonio.quantity(names, mirror, rays=64)
+    white, _ = gonio.quantity(names, grey, rays=64)
+    assert found.value / white.value == pytest.approx(expected, rel=5e-3)
+    assert by_d65.value < 0.8 * expected
+
+
 BAD = [
     ("gloss", WHITE, {"theta_i": 3}, "multiple values for keyword argument 'theta_i'"),
     ("glos", WHITE, {}, "quantity must be one of gloss20, .* got 'glos'"),

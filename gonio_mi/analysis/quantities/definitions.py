@@ -50,6 +50,8 @@ class Definition:
     over : tuple of Window, optional
         What the light is divided by, in the same hemisphere: by what came if None.
     scale : float
+    illuminant : str
+        D65 or A, by which wavelengths are weighted.
     minus : Definition, optional
     patches : Subdivision, optional
         The collector instead of windows, on which `curve` depends.
@@ -69,6 +71,7 @@ class Definition:
     without: tuple[Window, ...] = ()
     over: tuple[Window, ...] | None = None
     scale: float = 1.0
+    illuminant: str = "D65"
     minus: "Definition | None" = None
     patches: Subdivision | None = None
     curve: Callable[[Floats], float] | None = None
@@ -202,7 +205,8 @@ def retroreflection(
     scale = float(scale / (np.cos(np.radians(there)) if luminance else 1))
     own = Definition(f"coefficient of {name}, {angles}", *words, abs(entrance))
     beam = (source,) if source else ()
-    return replace(own, beam=beam, receptors=(window,), scale=scale)
+    own = replace(own, beam=beam, receptors=(window,), illuminant="A")
+    return replace(own, scale=scale)
 
 
 def transmitted(

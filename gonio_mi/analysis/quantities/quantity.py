@@ -107,8 +107,8 @@ def quantity(
     **settings
         Of :func:`gonio_mi.measure`, such as `rays` for each geometry, `seed`, `side`
         and `period`. Several wavelengths of spectral variants, by default 400 to 700 nm
-        in steps of 20 nm, are weighted by illuminant D65 and the photopic observer V,
-        R, G and B by their luminance.
+        in steps of 20 nm, are weighted by illuminant D65, of retroreflection by A, and
+        by the photopic observer V, R, G and B by their luminance.
 
     Returns
     -------
@@ -183,7 +183,7 @@ def record_quantity(
         raise SettingError("over must hold patches with light, got none")
     own = Definition("weighted sum of patches", "of the record")
     hits = int(record.counts[rows[0] != 0].sum())
-    estimate = ratio(_seen(record), *rows)
+    estimate = ratio(_seen(own, record), *rows)
     return Quantity.of("sum", own, record, estimate, hits)
 
 
@@ -219,7 +219,7 @@ def evaluated(own: Definition, record: Record) -> tuple[Floats, int]:
         over = _within(own, record, own.over)
         if not record.flux_fraction[over > 0].any():
             raise SettingError(f"{own.title} needs light that leaves, got none: {name}")
-    grey, hits = _seen(record), record.counts[weights > 0].sum()
+    grey, hits = _seen(own, record), record.counts[weights > 0].sum()
     if own.curve and own.patches == record.subdivision:
         return jackknifed(grey, own.curve), int(hits)
     if own.curve:
@@ -294,6 +294,7 @@ def _within(own: Definition, record: Record, windows: Sequence[Window]) -> Float
     return weights.reshape(-1, *patches.shape)
 
 
-def _seen(record: Record) -> Record:
-    """Record of one channel: the luminance, under D65 where there are wavelengths."""
-    return ask("exchange", "seen")(record) if len(record.channels) > 1 else record
+def _seen(own: Definition, record: Record) -> Record:
+    """Record of one channel: the luminance, under the definition's illuminant."""
+    found: Record = ask("exchange", "seen")(record, own.illuminant)
+    return found

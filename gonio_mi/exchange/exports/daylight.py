@@ -6,8 +6,10 @@ wavelengths that were measured, and is read where the table of the light has its
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from typing import NamedTuple
 
+import mitsuba as mi
 import numpy as np
 
 from ...array_types import Floats, Numbers
@@ -110,9 +112,12 @@ def luminous(record: Record) -> Record:
     return weighted(record, XYZ[1]) if len(record.channels) == 3 else record
 
 
-def seen(record: Record) -> Record:
-    """Record of the luminance of several channels, under D65; any other as it is."""
-    return lit_by(VISIBLE, luminous(record))
+def seen(record: Record, illuminant: str = "D65") -> Record:
+    """Record of the luminance of several channels; any other as it is.
+
+    Wavelengths are lit by the illuminant, D65 or A; R, G and B are those of D65.
+    """
+    return lit_by(incandescent() if illuminant == "A" else VISIBLE, luminous(record))
 
 
 def weighted(record: Record, weights: Floats) -> Record:
@@ -132,6 +137,15 @@ def weighted(record: Record, weights: Floats) -> Record:
 
         tallies.append(tally.of_each_channel(one))
     return replace(record, channels=("Y",), tallies=tuple(tallies))
+
+
+@cache
+def incandescent() -> Light:
+    """Illuminant A (ISO/CIE 11664-2) times the photopic observer V."""
+    nm = np.arange(380.0, 781, 5)
+    parts = np.array(mi.cie1931_xyz(mi.Float(nm.tolist())))[1]
+    parts /= nm**5 * np.expm1(1.435e7 / (2848 * nm))
+    return Light("visible", nm, parts / parts.sum())
 
 
 # Illuminant D65 times the photopic observer's V: of each 10 nm from 380 to 780, in per
