@@ -439,8 +439,8 @@ class Sobol(mi.Sampler):
         ----------
         first, last : int
             The stretch of the curve to walk along, counted from the middle of the unit
-            square on and around. Points before `start` or after the last one are left
-            out.
+            square on and around. Points before `start` or after the last one are
+            nobody's.
         walks : int
             Groups of sequences, which take turns and are of the same size: each goes
             that way by itself, one after the other, as it would alone.
@@ -473,7 +473,8 @@ class Sobol(mi.Sampler):
         if joined > 1:
             index, sequence = sorted_within(joined, quarter, index, sequence)
         dr.eval(index, sequence)
-        if self.per_sequence < 1 << bits or n % chunk:
+        # few of nobody cost less than to leave them out
+        if self.per_sequence < 7 << bits >> 3 or (together << bits) % chunk:
             nobody = mi.UInt32(index - start >= own)
             # of each chunk; the number of points is what is missing to whole packets
             missing = (dr.block_sum(nobody, chunk) - chunk) & (PACKET - 1)

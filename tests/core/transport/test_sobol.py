@@ -461,8 +461,14 @@ def test_the_best_dimensions_go_to_the_scattering_with_any_footprint():
 
 
 @pytest.mark.filterwarnings("ignore:the specimen lies up to 1001 scene units")
-def test_the_clock_decides_about_no_bit(monkeypatch):
+@pytest.mark.parametrize(
+    ("rays", "batches"), [(299_998, 16), (499_998, 16), (420_007, 7)]
+)
+def test_the_clock_decides_about_no_bit(monkeypatch, rays, batches):
     """Exact: rays of a mirror field on a machine that is idle, and under load.
+
+    They leave much of their block of points empty, or little, or little of one that no
+    chunks fill.
 
     Launches are cut elsewhere; rays within rounding of an edge, of which there are many
     far from the origin, stay in their packets. The twin cuts launches anywhere.
@@ -470,7 +476,7 @@ def test_the_clock_decides_about_no_bit(monkeypatch):
     bsdf = {"type": "twosided", "bsdf": {"type": "conductor"}}
     hills = {"type": "heightfield", "alpha": 0.5, "resolution": 64, "bsdf": bsdf}
     hills["to_world"] = mi.ScalarTransform4f().translate([1000, 1000, 0])
-    settings = {"theta_i": 60, "rays": 299_998, "period": "box"}
+    settings = {"theta_i": 60, "rays": rays, "batches": batches, "period": "box"}
     send, rate, sent = launcher.launch, [], []
 
     def timed(*arguments):
