@@ -212,15 +212,13 @@ class Evaluator:
         one, two = (dr.gather(type(sample), sample, same) for sample in samples)
         bs, weight = self.bsdf.sample(flux_context(), si, one, two, mi.Bool(True))
         delta = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
-        lane_wise = np.broadcast_to(
-            (~delta & dr.any(mi.Spectrum(weight) > 0)).numpy(), len(lane)
-        )
+        lit = (~delta & dr.any(mi.Spectrum(weight) > 0)).numpy()
         wo = np.broadcast_to(si.to_world(bs.wo).numpy(), (3, len(lane))).T
         wo = wo * [1, 1, self.light.side]
         of = np.repeat(np.arange(n), N_GUIDES)
         lower = wo[:, 2] < 0
         n_hemispheres = len(cells.patch) // (n * subdivision.n_patches)
-        wanted = lane_wise & (lower < n_hemispheres)
+        wanted = np.broadcast_to(lit, len(lane)) & (lower < n_hemispheres)
         wo, of, lower = wo[wanted], of[wanted], lower[wanted]
         patch = subdivision.patch(wo)
         before = subdivision.n_patches * (lower + n_hemispheres * of)

@@ -15,6 +15,7 @@ import numpy as np
 
 from ..array_types import Flags, Floats, Integers, Numbers, Singles
 from ..collector import Subdivision
+from ..collector.receptors import holds
 from ..errors import SpecimenError
 from ..results.tally import WEIGHT_SCALE, Integrals, Tally
 from ..settings.values import ALL_ORDERS
@@ -399,8 +400,7 @@ class _PatchSums:
 
     def _by_patch(self, patch: Integers, values: Numbers) -> Numbers:
         """Sum of the cells' values in each patch."""
-        n = len(self.flux)
-        columns = [np.bincount(patch, one, minlength=n) for one in values.T]
+        columns = [np.bincount(patch, x, minlength=len(self.flux)) for x in values.T]
         return np.stack(columns, axis=-1)
 
 
@@ -410,21 +410,23 @@ class _PatchSums:
 def check_integrable(setup: Setup) -> None:
     """Raise SpecimenError where the estimator `quadrature` does not apply."""
     plane, settings = setup.specimen.plane, setup.settings
-    at_point = settings.footprint == "point"
-    lanes = wavelength_lanes(setup.passes[0])
+    windows = getattr(setup.collector.subdivision, "windows", ())
     check_unpolarised("the estimator quadrature")
     needs = {
         "a single flat rectangle": plane is not None and not settings.trace,
         "a collimated beam": setup.beam.collimated
         and not (settings.divergence or settings.incident),
         "a collector in the far field": not setup.collector.radius,
+        "round windows, none in another": not any(
+            len(a) == 4 or holds(b, a) for a in windows for b in windows
+        ),
         "the order all": settings.order == ALL_ORDERS,
         "the same BSDF all over the specimen": plane is None
-        or at_point
-        or plane.is_uniform(lanes),
+        or settings.footprint == "point"
+        or plane.is_uniform(wavelength_lanes(setup.passes[0])),
     }
-    for need, holds in needs.items():
-        if not holds:
+    for need, met in needs.items():
+        if not met:
             raise SpecimenError(
                 f"the estimator quadrature needs {need}: take weighted instead"
             )

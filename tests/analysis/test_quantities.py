@@ -17,6 +17,7 @@ from gonio_mi.analysis.quantities import functionals
 from gonio_mi.analysis.quantities.definitions import DEFINITIONS, GROUPS
 from gonio_mi.collector import Receptors
 from gonio_mi.collector.directions import direction
+from gonio_mi.errors import LostLightWarning
 
 SCENES = Path(__file__).parents[2] / "scenes"
 ANGLES = {"gloss20": 20, "gloss60": 60, "gloss85": 85}
@@ -461,6 +462,12 @@ BAD = [
     ("gloss60:a=1", WHITE, {}, "a parameter of gloss60 must be one of none"),
     ("brf:theta_o=89.5", WHITE, {}, "a window must be three or four angles"),
     ("lobe", {"type": "conductor"}, {}, "step must resolve a lobe"),
+    (
+        "tis",
+        {"type": "roughconductor"},
+        {"estimator": "quadrature"},
+        "quadrature needs round windows, none in another",
+    ),
 ]
 
 
@@ -573,3 +580,24 @@ def test_integrals_and_parallel_records():
     nothing = np.zeros((2, 2, 1))
     with pytest.raises(ValueError, match="over must hold patches with light"):
         record.quantity(nothing + 1, nothing)
+
+
+def test_no_integral_over_more_than_a_window():
+    """Of a cone alone it is exact; a rectangle has no rule of its own."""
+    how = {"estimator": "quadrature", "theta_i": 0}
+    cone = gonio.measure(WHITE, collector="receptors:20/180/5", **how)
+    expected = 0.5 * np.sin(np.radians(2.5)) ** 2 * np.cos(np.radians(20))
+    assert cone.flux_fraction[0, 0, 0, 0] == pytest.approx(expected, rel=1e-4)
+    with pytest.raises(ValueError, match="needs round windows, none in another"):
+        gonio.measure(WHITE, collector="receptors:20/180/5/5", **how)
+
+
+def test_apertures_beside_which_light_passes():
+    """Light that misses a near collector has no direction, and ends no process."""
+    names = ["apertures:5@30/180,60/20", "receptors:30/180/10,60/20/10"]
+    how = {"theta_i": 4, "rays": 2**14, "collector_radius": 5}
+    with pytest.warns(LostLightWarning, match="left sideways, into no patch"):
+        one, other = (
+            gonio.measure(SCENES / "beads.xml", collector=name, **how) for name in names
+        )
+    np.testing.assert_array_equal(one.flux_fraction, other.flux_fraction)
