@@ -183,8 +183,7 @@ def _check_rings(evidence: Evidence) -> None:
     ):
         size = float(found.misplaced.max())
         text = f"{size:.2g} of the light in other rings"
-        remark = f"in rings about the light, of 4 directions: {text}"
-        evidence.remark(question.name, remark)
+        evidence.remark(question.name, f"of 4 directions, in rings about them: {text}")
         if found.excess > 1:
             text += f", {found.excess:.3g} times the tolerance"
             how = {"size": size, "off": min(size, 1.0)}

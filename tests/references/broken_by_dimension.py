@@ -606,6 +606,25 @@ class PhaseFadesWithTime:
         return value * dr.select(mei.time > 0, 0.5, 1.0), pdf
 
 
+@broken("fields", "eval", "haze at 0.80 wherever t is not that of lane 0", kind="phase")
+class PhaseOfTheFirstDistance:
+    def eval_pdf(self, ctx, mei, wo, active=True):
+        value, pdf = super().eval_pdf(ctx, mei, wo, active)
+        first = dr.gather(mi.Float, mei.t, 0 * lane(mei.t))
+        return value * dr.select(mei.t == first, 1.0, 0.8), pdf
+
+
+@broken("fields", "pdf", "MIS weights of haze near tilted normals", kind="phase")
+class PhaseDensityByNormal:
+    def sample(self, ctx, mei, u1, u2, active=True):
+        wo = mei.to_world(self.draw(self.g, u2))
+        return wo, mi.Spectrum(1.0), super().eval_pdf(ctx, mei, wo, active)[1]
+
+    def eval_pdf(self, ctx, mei, wo, active=True):
+        value, pdf = super().eval_pdf(ctx, mei, wo, active)
+        return value, pdf * dr.select(mei.n.x > 0.05, 1.2, 1.0)
+
+
 @broken("places", "sample", "haze scatters evenly beyond x = 3", kind="phase")
 class PhaseByPlace:
     def sample(self, ctx, mei, u1, u2, active=True):
@@ -614,8 +633,9 @@ class PhaseByPlace:
         return wo, mi.Spectrum(1.0), self.eval_pdf(ctx, mei, wo, active)[1]
 
 
-@broken("fields", "eval", "lamps lose their polarisation", variant="polarised")
-class DepolarisesWithTime:
+class Polarised:
+    """Rough conductor with Mueller matrices: right."""
+
     components = lobes("GlossyReflection FrontSide")
 
     def load(self, props):
@@ -626,8 +646,28 @@ class DepolarisesWithTime:
         return self.nested.sample(ctx, si, sample1, sample2, active)
 
     def eval(self, ctx, si, wo, active=True):
-        m = self.nested.eval(ctx, si, wo, active)
-        return dr.select(si.time > 0, mi.depolarizer(m[0, 0]), m)
+        return self.nested.eval(ctx, si, wo, active)
 
     def pdf(self, ctx, si, wo, active=True):
         return self.nested.pdf(ctx, si, wo, active)
+
+
+@broken("fields", "eval", "lamps lose their polarisation", variant="polarised")
+class DepolarisesWithTime(Polarised):
+    def eval(self, ctx, si, wo, active=True):
+        m = super().eval(ctx, si, wo, active)
+        return dr.select(si.time > 0, mi.depolarizer(m[0, 0]), m)
+
+
+@broken("fields", "eval", "lamps at 0.50 beyond t = 1.5", variant="polarised")
+class MuellerFadesWithDistance(Polarised):
+    def eval(self, ctx, si, wo, active=True):
+        m = super().eval(ctx, si, wo, active)
+        return dr.select(si.t > 1.5, 0.5 * m, m)
+
+
+@broken("fields", "pdf", "MIS weights where tangents are sheared", variant="polarised")
+class MuellerDensityByTangents(Polarised):
+    def pdf(self, ctx, si, wo, active=True):
+        sheared = dr.abs(dr.dot(si.dp_du, si.dp_dv)) > 0.01
+        return super().pdf(ctx, si, wo, active) * dr.select(sheared, 0.7, 1.0)

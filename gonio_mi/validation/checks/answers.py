@@ -41,7 +41,7 @@ class Answers(Mistake):
     MIXES_IN_WEIGHT = "{who} mixes local and world coordinates in its weight"
     IN_THE_WORLD = """{who} returns directions in world coordinates instead of local
         ones"""
-    OF_FIELD = "{who}: {how} on si.{field}"
+    OF_FIELD = "{who}: {how} on {point}.{field}"
     OF_ORDER = "{who} depends on the place of a ray in the array"
     OF_NUMBER = "{who} depends on the number of rays that are asked together"
     OTHER_ALBEDO = "{who} is not the reflectance of `eval`, {due:.4g}"
@@ -332,7 +332,8 @@ def add_field(evidence: Evidence, field: str, names: Collection[str]) -> None:
         if len(seeing) == 1:
             blind = both & ~seeing[0]
             how = f"{seeing[0].quoted} depends, and {blind.quoted} does not,"
-        guess = Answers.OF_FIELD(both, how=how, field=field)
+        point = "mei" if evidence.of_volumes else "si"
+        guess = Answers.OF_FIELD(both, how=how, point=point, field=field)
         more = {"size": 1.5, "off": None, "kind": Kind[name.upper()]}
         evidence.breach(ANSWERS, guess, samples, changed[seeing[0]], **more)
         return

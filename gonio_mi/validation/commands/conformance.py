@@ -62,5 +62,6 @@ def run(options: Namespace) -> int:
     for one in wrong:
         asked = one.question
         tell(f"{one.version}, {one.variant}: {asked.word}: {asked.name}: {one.text}")
-    tell(f"{len(answers) - len(wrong)} of {len(answers)} agree or give no answer")
+    silent = sum(one.raised for one in answers)
+    tell(f"{len(answers)} questions: {len(wrong)} wrong, {silent} without an answer")
     return FAILED if wrong else DONE

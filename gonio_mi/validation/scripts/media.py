@@ -15,7 +15,7 @@ u = np.random.default_rng(0).random((3, 1), dtype=np.float32)
 phase = SOURCE
 ctx, n = mi.PhaseFunctionContext(None, mi.TransportMode.MODE), COUNT
 mei, bs = dr.zeros(mi.MediumInteraction3f, n), dr.zeros(mi.BSDFSample3f, n)
-mei.wi, mei.p = dr.opaque(mi.Vector3f, WI, n), mi.Point3f(POSITION)
+mei.wi, mei.p = mi.Vector3f(np.tile(np.vstack(WI), n)), mi.Point3f(POSITION)
 mei.sh_frame = mi.Frame3f(mei.wi)
 # %% medium sample
 bs.wo, weight, bs.pdf = phase.sample(ctx, mei, mi.Float(u[0]), mi.Point2f(u[1:]), True)

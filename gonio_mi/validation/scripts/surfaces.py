@@ -27,7 +27,7 @@ mi.set_variant(VARIANT)
 bsdf = SOURCE
 ctx, n = mi.BSDFContext(mi.TransportMode.MODE), COUNT
 si = dr.zeros(mi.SurfaceInteraction3f, n)
-si.wi, si.sh_frame = dr.opaque(mi.Vector3f, WI, n), mi.Frame3f(AXES)
+si.wi, si.sh_frame = mi.Vector3f(np.tile(np.vstack(WI), n)), mi.Frame3f(AXES)
 # %% component
 ctx.component = COMPONENT
 # %% texture
@@ -272,7 +272,7 @@ ends = np.array([0, 0.5, np.nextafter(np.float32(1), np.float32(0))], np.float32
 u, x = np.array(np.meshgrid(ends, ends, ends)).reshape(3, -1), []
 for theta in np.radians([0, 1e-3, 89.99, 90, 90.01, 120, 179.999, 180]):
     wi = np.round([np.sin(theta), 0, np.cos(theta)], 9).tolist()
-    si.wi = dr.opaque(mi.Vector3f, wi, n)
+    si.wi = mi.Vector3f(np.tile(np.vstack(wi), n))
     bs, weight = bsdf.sample(ctx, si, mi.Float(u[0]), mi.Point2f(u[1:]), True)
     for wo in (bs.wo, si.wi, -si.wi, mi.reflect(si.wi), -mi.reflect(si.wi)):
         x += [np.ravel(np.where(dr.squared_norm(wo) > 0.5, QUANTITY, 0))]
@@ -341,7 +341,7 @@ a, b = in_plane(si.wi, bs.wo), in_plane(turn @ si.wi, turn @ bs.wo)
 # %% matrix JUMP: elements
 values = []
 for wi, wo in ABOUT:  # two pairs of directions, next to each other
-    si.wi, wo = (dr.opaque(mi.Vector3f, x, n) for x in (wi, wo))
+    si.wi, wo = (mi.Vector3f(np.tile(np.vstack(x), n)) for x in (wi, wo))
     m = answer(wo)
     values += [m / np.fmax(m[0, 0], 1e-30)]
 a, b = values

@@ -285,8 +285,8 @@ def save_table(answers: Iterable[Answer], path: str | PathLike[str]) -> None:
         "line</b> shows all numbers and a script for the worst, which prints them: it "
         "needs Mitsuba of that version and NumPy, nothing else. One rounding is that "
         "of a thousand operations in single precision, 6.1e-5.</p>"
-        "<p><b>Green:</b> all that was asked agrees. <b>Grey:</b> what got no answer, "
-        "and the error instead; some plugins exist in some variants only.</p>"
+        "<p><b>Green:</b> all that answered agrees. <b>Grey:</b> most questions got no "
+        "answer, but an error; some plugins exist in some variants only.</p>"
     )
     head = ["plugin, sets of parameters", *(f"Mitsuba {one}" for one in versions)]
     rows = [[f"<b>{one}</b>" for one in head]]
@@ -311,10 +311,9 @@ def _cell(answers: Sequence[Answer]) -> str:
     parts = [f"{n} agree"] if n else []
     parts += [_finding(name, ones) for name, ones in found.items()]
     if silent:
-        texts = dict.fromkeys(f"{_where([x])}: {x.text}" for x in silent)
-        lines = preformatted("\n".join(texts))
-        parts.append(folded(f"{len(silent)} without an answer", lines))
-    kind = "wrong" if found else "right" if n else "silent"
+        told = "\n".join(dict.fromkeys(f"{_where([x])}: {x.text}" for x in silent))
+        parts.append(folded(f"{len(silent)} without an answer", preformatted(told)))
+    kind = "wrong" if found else "right" if n > len(silent) else "silent"
     return f'<td class="{kind}">{"".join(f"<div>{part}</div>" for part in parts)}</td>'
 
 
