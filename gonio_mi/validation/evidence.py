@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from enum import Enum
 from functools import cached_property
 from typing import Any, TypeVar
 
@@ -162,7 +163,7 @@ class Finding:
     condition: Condition | None = None
     off: float | None = None
     effect: str = ""
-    kind: Kind | MatrixKind | None = None
+    kind: Enum | None = None
     about: str = ""
     guess: Guess | None = None
     of_flux: bool = False

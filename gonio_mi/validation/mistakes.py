@@ -2,33 +2,26 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum, Flag, auto
+from pathlib import Path
 from typing import Any
 
-# What a finding is about: a property, or one aspect of it. The part of that name in
-# `scripts` shows it.
-Kind = Enum(
-    "Kind",
-    "ANSWERS RAISES OTHER_WHEN_CALLED_AGAIN OTHER_IN_ANOTHER_PLACE OTHER_IN_THE_WORLD "
-    "OTHER_IN_ANOTHER_NUMBER ALBEDO DIRECTIONS LENGTH ETA_OF_REFLECTION SAMPLING "
-    "WEIGHTS MASS MASS_OF_A_DARK_SIDE LIGHT_OF_A_DARK_SIDE ENERGY SAMPLED_PDF "
-    "SAMPLED_WEIGHT EVAL_PDF EVAL_PDF_ANYWHERE EVAL_PDF_SAMPLE OTHER_SAMPLES ETA "
-    "CONTINUITY JUMP_AT_NORMAL RECIPROCITY SYMMETRY SYMMETRY_OF_MICROFLAKES "
-    "RECIPROCITY_OF_A_LOBE ADJOINT ADJOINT_OF_A_LOBE DELTA NULL_TRANSMISSION "
-    "DIRECTION_OF_A_LOBE WEIGHTS_OF_A_LOBE TYPE_OF_A_COMPONENT DIFFERENTIALS FLAGS "
-    "UNDECLARED_SIDE TYPE_MASK ANISOTROPIC COMPONENTS LOBE_OF_A_COMPONENT MASKS "
-    "MASKS_OF_OTHERS ENDS LENGTH_AT_AN_END GRADIENT UPDATE PARAMETERS "
-    "DENSITY_AFTER_A_CHANGE",
-)
+# Files of parts of scripts.
+SCRIPTS = Path(__file__).with_name("scripts")
+PARTS = "".join(one.read_text(encoding="utf-8") for one in sorted(SCRIPTS.glob("*.py")))
 
-# The same of Mueller matrices.
-MatrixKind = Enum(
-    "MatrixKind",
-    "ANSWERS FIRST_ELEMENT SAMPLED_WEIGHT EVAL_PDF REALISABLE ENERGY FRAMES JUMP "
-    "WORLD RECIPROCITY ADJOINT",
-)
+
+def kinds(name: str, of: str = "") -> Any:
+    """Enumeration of the parts of `scripts` whose names are `of` and capitals."""
+    return Enum(name, re.findall(rf"^# %% {of}([A-Z_]+)", PARTS, re.MULTILINE))
+
+
+# What a finding is about: a property, or one aspect of it. The part of that name in
+# `scripts` shows it; the second has those of Mueller matrices.
+Kind, MatrixKind = kinds("Kind"), kinds("MatrixKind", "matrix ")
 
 
 class Function(Flag):

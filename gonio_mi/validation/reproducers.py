@@ -10,9 +10,9 @@ import os
 import re
 import textwrap
 from collections.abc import Mapping
+from enum import Enum
 from functools import cache
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
@@ -25,7 +25,7 @@ from ..single_precision import BSDF_ROUNDING
 from ..transport.variants import unpolarised
 from .conditions import POSITION, TURN, WAVELENGTHS_NM, Condition, Sweep
 from .maps import FourMaps
-from .mistakes import Kind, MatrixKind
+from .mistakes import SCRIPTS, Kind, MatrixKind
 from .probe import Probe
 from .verdict import Property, Verdict
 
@@ -62,9 +62,6 @@ TANGENTS = ("n", "dp_du", "dp_dv")
 BESIDE = {"sh_frame": ("sh_frame", *TANGENTS), "dp_du": TANGENTS, "uv": ()}
 OF_A_MEDIUM = ("time", "t", "p", "n")
 
-# Files of parts of scripts.
-SCRIPTS = Path(__file__).with_name("scripts")
-
 # What a mean over samples counts, and the density that it should follow: of directions,
 # of those where `eval` is not zero, and of weights.
 OF_SAMPLES = {"DRAWN": "np.array(smooth())", "DENSITY": "pdf(wo)"}
@@ -75,12 +72,6 @@ OF_LIT_SAMPLES = {
 OF_WEIGHTS = {
     "DRAWN": "np.where(smooth(), np.atleast_2d(weight).mean(axis=0), 0)",
     "DENSITY": "value(wo).mean(axis=0)",
-}
-
-# Parts of other kinds, with other words.
-PARTS: dict[Kind | MatrixKind, str] = {
-    Kind.WEIGHTS: "SAMPLING",
-    Kind.LENGTH_AT_AN_END: "ENDS",
 }
 
 # What phase functions have instead.
@@ -157,9 +148,9 @@ def save_reproducer(verdict: Verdict, path: str | PathLike[str]) -> None:
 def script(verdict: Verdict, one: Property) -> str:
     """The script that shows a property that fails."""
     kind = one.kind or Kind[one.name.upper()]
-    condition, part = _condition(one), PARTS.get(kind, kind.name)
+    condition, part = _condition(one), kind.name
     words = _words(verdict, one, kind)
-    if part == "SAMPLING":
+    if part in ("SAMPLING", "WEIGHTS"):
         maps, corners = _box(verdict, one.name) if not condition.fields else NO_BOX
         condition = maps.condition if maps else condition
         part = "moments_apart" if corners == EVERYWHERE else part
@@ -171,7 +162,7 @@ def script(verdict: Verdict, one: Property) -> str:
     given = parts("matrix" if matrices else script_kind(one.of_volumes))
     words = _place(verdict, one, condition) | words
     words["COUNT"] = "2**20" if "standard errors" in given[part] else "2**16"
-    words |= {"COUNT": "27"} if part == "ENDS" else {}
+    words |= {"COUNT": "27"} if "ends = " in given[part] else {}
     head = _setting(verdict, condition, given) + given["random"] + given["sample"]
     if kind is MatrixKind.FIRST_ELEMENT:
         both = mi.variant(), unpolarised(mi.variant())
@@ -263,7 +254,7 @@ def _filled(lines: str, words: Mapping[str, str]) -> str:
     )
 
 
-def _words(verdict: Verdict, one: Property, kind: Kind | MatrixKind) -> dict[str, str]:
+def _words(verdict: Verdict, one: Property, kind: Enum) -> dict[str, str]:
     """Text that replaces words in capitals, for what a finding is about."""
     guess = one.guess or verdict.guess
     guilty = guess.functions.names[0] if guess else one.function or "eval"

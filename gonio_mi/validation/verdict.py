@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
+from enum import Enum
 from typing import Any, ClassVar
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from .conditions import Condition
 from .evidence import BIAS, BREAKS, COST, EFFECTS, NOISE, Evidence, Question, Test
 from .maps import FourMaps
-from .mistakes import Guess, Kind, MatrixKind
+from .mistakes import Guess
 
 # Places of a failure that are kept.
 MAX_PLACES = 10
@@ -99,7 +100,7 @@ class Property:
     minor: bool = False
     question: str = ""
     condition: Condition | None = field(default=None, repr=False)
-    kind: Kind | MatrixKind | None = field(default=None, repr=False)
+    kind: Enum | None = field(default=None, repr=False)
     about: str = field(default="", repr=False)
     of_volumes: bool = False
     needed: bool = field(default=False, repr=False)

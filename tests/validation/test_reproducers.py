@@ -27,7 +27,7 @@ from gonio_mi.validation import (
     validate,
 )
 from gonio_mi.validation.checks.frames import JUMP
-from gonio_mi.validation.mistakes import Kind, MatrixKind
+from gonio_mi.validation.mistakes import SCRIPTS, Kind, MatrixKind
 from gonio_mi.validation.reproducers import script
 
 HANDBOOK = sorted(Path(__file__).parents[2].glob("notebooks/reproducers/*.py"))
@@ -322,6 +322,15 @@ def show_worst(wrong, right):
     assert len(code_of(text)) <= 20, text
     assert told(text) > 1, text
     assert told(text.replace(f'"{wrong}"', f'"{right}"')) < 1, text
+
+
+def test_every_property_and_every_finding_has_a_part():
+    """Without one, the lines of another kind would show it."""
+    assert {*map(str.upper, PROPERTIES)} - {"COST"} <= Kind.__members__.keys()
+    members = {"Kind": Kind.__members__, "MatrixKind": MatrixKind.__members__}
+    for path in SCRIPTS.parent.rglob("*.py"):
+        named = re.findall(r"\b(Kind|MatrixKind)\.([A-Z]\w+)", path.read_text("utf-8"))
+        assert all(name in members[of] for of, name in named), path.name
 
 
 @pytest.mark.parametrize("kind", [*Kind, *MatrixKind], ids=str)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import replace
+from enum import Enum
 from functools import cache
 from typing import Any
 
@@ -280,7 +281,7 @@ def check_same(
     evidence: Evidence,
     samples: Samples,
     mistake: Answers,
-    kind: Kind,
+    kind: Enum,
     i: mi.UInt32 | None = None,
     exact: bool = False,
 ) -> None:

@@ -139,6 +139,7 @@ a, b, counts = dr.norm(bs.wo), 1, lit()
 a, b, counts = bs.eta, 1, lit() & (bs.wo.z * si.wi.z > 0)
 # %% SAMPLING: box apart
 drawn, density = DRAWN, lambda wo: DENSITY
+# %% WEIGHTS: SAMPLING box apart
 # %% moments_apart: apart
 drawn, due = DRAWN * np.nan_to_num(moments(bs.wo)), []
 for points in (np.arange(n) * [[1 / n], [0.618034]] + rng.random((16, 2, 1))) % 1:
@@ -267,6 +268,7 @@ b = np.median(light() * np.array(bs.pdf))
 a, b = np.max(np.abs(answer(bs.wo, awake)) * np.array(~awake)), 0
 # %% MASKS_OF_OTHERS: by_sample
 a, b, counts = answer(bs.wo, awake), answer(bs.wo), awake
+# %% LENGTH_AT_AN_END: ENDS improper
 # %% ENDS: improper
 ends = np.array([0, 0.5, np.nextafter(np.float32(1), np.float32(0))], np.float32)
 u, x = np.array(np.meshgrid(ends, ends, ends)).reshape(3, -1), []
