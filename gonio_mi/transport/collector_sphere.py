@@ -23,8 +23,8 @@ def _count_below(edges: Floats, x: mi.Float) -> mi.Float:
 
 
 def _take(table: Numbers, index: mi.Float) -> mi.Float:
-    """Entries of a float32 `table` at whole floating-point numbers."""
-    return dr.gather(mi.Float, mi.Float(table), mi.UInt32(index))
+    """Entries of a float32 `table` at whole floating-point numbers; 0 at NaN."""
+    return dr.gather(mi.Float, mi.Float(table), mi.UInt32(index), index >= 0)
 
 
 # Dr.Jit's array functions under the names that subdivisions call: see
