@@ -470,6 +470,25 @@ def test_bad_input_is_told_in_a_sentence(name, specimen, settings, message):
         gonio.quantity(name, specimen, rays=1000, **settings)
 
 
+def test_a_black_side_is_told():
+    """A specimen that lets light through is not, and gives no warning."""
+    white = {"type": "diffuse", "reflectance": 0.9}
+    with pytest.warns(RuntimeWarning, match="from behind a one-sided BSDF is black"):
+        gonio.quantity("8/di", white, rays=100, side="back")
+    gonio.quantity("8/di", {"type": "null"}, rays=100, side="back")
+
+
+@pytest.mark.parametrize(("name", "sign", "limit"), [("8/de", -1, 0), ("haze", 1, 100)])
+def test_no_flux_is_negative_nor_part_more_than_all(name, sign, limit):
+    """Where two batches tell little. Twin: limits of Student's t are beyond."""
+    glass = {"type": "roughdielectric", "alpha": 0.6}
+    settings = {"batches": 2, "rays": 1000}
+    runs = [gonio.quantity(name, glass, seed=i, **settings) for i in range(20)]
+    beyond = [sign * (x.value - limit) + 12.7 * x.std_err > 0 for x in runs]
+    assert any(beyond)
+    assert max(sign * (end - limit) for x in runs for end in x.interval) == 0
+
+
 def test_light_beside_a_specimen_is_refused():
     with pytest.raises(ValueError, match="needs a specimen that fills the beam"):
         gonio.quantity("openness", perforated(0.5), rays=1000)
