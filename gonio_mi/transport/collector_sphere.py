@@ -23,7 +23,7 @@ def _count_below(edges: Floats, x: mi.Float) -> mi.Float:
 
 
 def _take(table: Numbers, index: mi.Float) -> mi.Float:
-    """Entries of a float32 `table` at whole floating-point numbers; of no number 0."""
+    """Entries of a float32 `table` at whole floating-point numbers; 0 at NaN."""
     return dr.gather(mi.Float, mi.Float(table), mi.UInt32(index), index >= 0)
 
 

@@ -72,7 +72,9 @@ def ratio(record: Record, weights: Floats, over: Floats | None = None) -> Floats
         low, high = map(np.ravel, one.interval(0, LEVEL))
         if over is not None:
             low, high = _widened(record, weights, over - weights, low, high)
-        return np.concatenate([value, std_err, low, high])
+        # no flux is negative, and no part more than the whole
+        limits = np.clip([low, high], 0.0, np.inf if over is None else 1.0)
+        return np.concatenate([value, std_err, *limits])
     signs = (np.maximum(sign * weights, 0) for sign in (1, -1))
     _, _, low, high = difference(*(ratio(record, part, over) for part in signs))
     # limits of correlated sums, and no nearer than where rays are few

@@ -14,7 +14,7 @@ from ...array_types import Floats
 from ...campaigns.measure import measure
 from ...collector import Borders, Receptors, Subdivision
 from ...collector.receptors import Window, holds
-from ...errors import SettingError, checked_choice, checked_number
+from ...errors import SettingError, checked_choice, checked_number, warn
 from ...instrument.loading import load_specimen, loaded_once
 from ...instrument.specimen_text import SpecimenLike
 from ...progress import counted
@@ -134,6 +134,9 @@ def quantity(
             decided = _light(group[0], extent) | {"collector": _collector(group, phi_i)}
             record = measure(specimen, phi_i=phi_i, **settings, **decided)
             records |= {id(one): record for one in group}
+            if not record.flux_fraction.any():
+                text = "no light leaves the specimen: from behind a one-sided BSDF is "
+                warn(f"{text}black, unless it is nested in the plugin twosided")
     found = []
     for one, own in asked.items():
         estimate, hits = evaluated(own, records[id(own)])
@@ -144,11 +147,7 @@ def quantity(
     return found[0] if words == [name] and name in asked else tuple(found)
 
 
-def record_quantity(
-    record: Record,
-    what: Any,
-    over: Any = None,
-) -> Quantity:
+def record_quantity(record: Record, what: Any, over: Any = None) -> Quantity:
     """Quantity that a record tells: one by its name, or any sum over patches.
 
     Parameters
@@ -194,9 +193,8 @@ def definition_of(word: str) -> Definition:
     own = inspect.signature(make).parameters.items()
     names = [key for key, one in own if type(one.default) is float]
     given = {}
-    for key, _, value in (
-        pair.partition("=") for pair in filter(None, rest.split(","))
-    ):
+    for pair in filter(None, rest.split(",")):
+        key, _, value = pair.partition("=")
         checked_choice(f"a parameter of {name}", key, names or ["none"])
         condition = "a number of degrees"
         given[key] = checked_number(f"{key} of {name}", value, -180, 180, condition)

@@ -1,5 +1,7 @@
 """A periodic cell stands for an infinite surface."""
 
+from pathlib import Path
+
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ import gonio_mi as gonio
 from gonio_mi.errors import SpecimenError
 
 RAYS = 100_000
+SCENES = Path(__file__).parents[3] / "scenes"
 FIELD = {"alpha": 0.7, "resolution": 32}
 
 
@@ -71,3 +74,18 @@ def test_a_footprint_that_misses_is_one_sentence():
         apart[name] = {"type": "rectangle", "to_world": at}
     with pytest.raises(SpecimenError, match="but all 1000 rays missed it"):
         gonio.measure(apart, 30, footprint=0.2, rays=1000)
+
+
+@pytest.mark.parametrize("collector", ["apertures:10@30/0", "receptors:30/0/20"])
+def test_light_that_passes_by_a_collector_is_in_no_aperture(collector):
+    """Exact: it leaves far from the cell, and meets the sphere in no direction."""
+    settings = {"rays": 1000, "collector_radius": 5.0}
+    beads = SCENES / "beads.xml"
+    record = gonio.measure(beads, 4, collector=collector, **settings)
+    rings = gonio.measure(beads, 4, collector="projected:2x2", **settings)
+    assert record.ledger == rings.ledger
+    assert record.ledger.sideways > 0
+    assert record.counts.sum() == rings.counts.sum()
+    # the twin: without a sphere all light has a direction
+    far = gonio.measure(beads, 4, collector=collector, rays=1000)
+    assert far.ledger.sideways == 0
