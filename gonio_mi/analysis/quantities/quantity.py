@@ -134,7 +134,7 @@ def quantity(
             decided = _light(group[0], extent) | {"collector": _collector(group, phi_i)}
             record = measure(specimen, phi_i=phi_i, **settings, **decided)
             records |= {id(one): record for one in group}
-            if not record.flux_fraction.any():
+            if not (record.flux_fraction.any() or record.ledger.missed):
                 text = "no light leaves the specimen: from behind a one-sided BSDF is "
                 warn(f"{text}black, unless it is nested in the plugin twosided")
     found = []
