@@ -174,7 +174,7 @@ def test_reflectance_factors_of_a_diffuser():
     """Its albedo, less what a gloss trap of 10 degrees takes; twin: 1 % off."""
     trap = np.sin(np.radians(5)) ** 2 * np.cos(np.radians(8))
     expected = {"8/di": 0.5, "8/de": 0.5 * (1 - trap), "di/8": 0.5, "45/0": 0.5}
-    expected |= {"0/45": 0.5, "brf:receptor=10": 0.5}
+    expected |= {"0/45": 0.5, "brf:receptor=10": 0.5, "brf:phi_o=180,receptor=10": 0.5}
     for found in gonio.quantity(list(expected), WHITE, rays=2**22):
         if found.name == "8/di":  # exact but for rounding: all rays return
             assert found.value == pytest.approx(0.5, rel=1e-6)
@@ -458,6 +458,7 @@ BAD = [
         "a parameter of R_A must be one of observation, entrance",
     ),
     ("R_A:observation=x", WHITE, {}, "observation of R_A must be a number of degrees"),
+    ("brf:phi_o=360", WHITE, {}, r"degrees in \[-360, 360\), got '360'"),
     ("gloss60:a=1", WHITE, {}, "a parameter of gloss60 must be one of none"),
     ("brf:theta_o=89.5", WHITE, {}, "a window must be three or four angles"),
     ("lobe", {"type": "conductor"}, {}, "step must resolve a lobe"),

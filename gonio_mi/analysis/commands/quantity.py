@@ -33,8 +33,9 @@ def add_options(parser: ArgumentParser) -> None:
     light = parser.add_argument_group("Light")
     text = "Azimuth of the plane of incidence."
     arguments.add_number(light, "--phi-i", "DEG", text, 0)
-    for name in ("side", "footprint", "wavelengths"):
-        arguments.add_setting(light, name)
+    arguments.add_setting(light, "side")
+    arguments.add_setting(light, "footprint")
+    arguments.add_setting(light, "wavelengths", "16 from 400 to 700")
     for title in ("method", "events on the surface"):
         arguments.add_settings_group(parser, title)
     arguments.add_scene_options(parser)

@@ -196,8 +196,8 @@ def definition_of(word: str) -> Definition:
     for pair in filter(None, rest.split(",")):
         key, _, value = pair.partition("=")
         checked_choice(f"a parameter of {name}", key, names or ["none"])
-        condition = "a number of degrees"
-        given[key] = checked_number(f"{key} of {name}", value, -180, 180, condition)
+        condition = "a number of degrees in [-360, 360)"
+        given[key] = checked_number(f"{key} of {name}", value, -360, 360, condition)
     return make(**given)
 
 

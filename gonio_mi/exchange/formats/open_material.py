@@ -70,8 +70,8 @@ def _rows(stream: BinaryIO) -> tuple[Floats, dict[str, str]]:
         raise FileFormatError(f"it is no JSON: {error!s:.80}") from None
     require(isinstance(content, Mapping), "it is no object of JSON")
     metadata, brdf = content.get("metadata"), content.get("brdf")
-    require(isinstance(metadata, Mapping), "it has no metadata")
-    require(isinstance(brdf, Mapping), "it has no brdf")
+    require(isinstance(metadata, Mapping), "no OpenMATERIAL table: it has no metadata")
+    require(isinstance(brdf, Mapping), "no OpenMATERIAL table: it has no brdf")
     for key in ("name", "uuid", *METADATA):
         require(key in metadata, f"its metadata lack {key}")
     for key, pattern in PATTERNS.items():

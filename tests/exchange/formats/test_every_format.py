@@ -180,7 +180,8 @@ a.brdf | brdf surface file | a lamp | it is a OPTIS - a lamp
 a.brdf | v9.0 | v1.0 | version 1.0: save it anew
 a.json | "license" | "licence" | its metadata lack license
 a.json | "uuid": " | "uuid": "x | its uuid does not match the format
-a.json | "brdf" | "bsdf" | it has no brdf
+a.json | "brdf" | "bsdf" | no OpenMATERIAL table: it has no brdf
+a.json | "metadata" | "meta" | no OpenMATERIAL table: it has no metadata
 a.json | "wavelengths": [5.5e-07] | "wavelengths": [5e-7] | not those of its lookupT
 a.json | [[5.5e-07, 0.0 | [[5.5e-07, 2.0 | row 0 .* incident zenith 2
 a.json | [[5.5e-07, 0.0 | [[5.5e-07 | row 0 of its lookupTable must have 5 numbers
