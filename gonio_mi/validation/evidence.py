@@ -46,7 +46,7 @@ Check = TypeVar("Check", bound=Callable[..., None])
 # wrong: above the level of a test, so that whatever fails is looked at.
 MAX_P = 1e-4
 
-# Fraction of the light of a lit surface below which a bias is minor.
+# Fraction of the light of an illuminated surface below which a bias is minor.
 MINOR = 1e-4
 
 # Fraction of the answers that differ at each call where that is for chance.
@@ -182,7 +182,7 @@ class Finding:
 
     @property
     def share(self) -> float | None:
-        """Fraction of the light of a lit surface that is affected; None if not known.
+        """Fraction of the reflected and transmitted light that is affected, or None.
 
         The wrong fraction times the cosine of the angle of incidence, to which the
         irradiance is proportional: next to nothing at 89 degrees.

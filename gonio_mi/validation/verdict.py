@@ -64,8 +64,8 @@ class Property:
     near : str
         The smallest p-value and its level, if it does not fail but is near that.
     share : float or None
-        How much of the light of a lit surface a failure is about: of its worst finding
-        the wrong fraction, times the cosine of the angle of incidence, or None.
+        How much of an illuminated surface's light a failure is about: of its worst
+        finding the wrong fraction, times the cosine of the angle of incidence, or None.
     minor : bool
         Whether all that fails is known to be below 1e-4 of that light.
     question : str
@@ -114,7 +114,7 @@ class Property:
         known = self.share is not None and self.name != "ends"
         if not (self.integrators and known) or self.of_volumes:
             return self.integrators
-        size = f"{self.share:.2g} of the flux from a lit surface is wrong"
+        size = f"{self.share:.2g} of the flux from an illuminated surface is wrong"
         return f"{self.integrators}; {size}"
 
     @property

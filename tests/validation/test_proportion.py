@@ -107,7 +107,7 @@ def test_next_to_nothing_is_told_and_fails_if_strict():
     verdict = judged(LosesLittle, effort="normal")
     assert verdict.passed, str(verdict)
     assert "passes, with a remark: biases images, but next to" in verdict.headline
-    assert "of the flux from a lit surface" in verdict.headline
+    assert "of the flux from an illuminated surface" in verdict.headline
     told = {one["name"]: one for one in verdict.to_dict()["properties"]}
     assert told["sampling"]["status"] == "fails"
     assert told["sampling"]["minor"]

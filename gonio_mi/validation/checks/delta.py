@@ -20,7 +20,7 @@ class Delta(Mistake):
     """What is wrong with discrete lobes."""
 
     MANY_DIRECTIONS = """{who} gives many directions to a lobe whose sampled_type is
-        discrete, where `eval` is lit, too: light is counted twice"""
+        discrete, where `eval` is not 0 either: light is counted twice"""
     MANY_WEIGHTS = "{who} gives one discrete lobe different weights"
     DIRECTION = "the direction of a discrete lobe of {who} is not {law}"
     PROBABILITY = "{who}: the pdf of a discrete lobe is not its probability"
