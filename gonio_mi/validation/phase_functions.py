@@ -190,7 +190,7 @@ def _check_rings(evidence: Evidence) -> None:
             evidence.breach(question, mistake(SAMPLE), found=text, **how)
     flux = light.evaluated[:, :N_RINGED].sum(axis=1)
     limit = light.tolerance[:, :N_RINGED].sum(axis=1)
-    k = int((np.abs(flux - 1) > limit).argmax())
+    k = int((np.abs(flux - 1) - limit).argmax())
     size = abs(float(flux[k]) - 1)
     if size > limit[k]:
         total = f"{flux[k]:.4g}"

@@ -162,7 +162,7 @@ def script(verdict: Verdict, one: Property) -> str:
     given = parts("matrix" if matrices else script_kind(one.of_volumes))
     words = _place(verdict, one, condition) | words
     words["COUNT"] = "2**20" if "standard errors" in given[part] else "2**16"
-    words |= {"COUNT": "27"} if "ends = " in given[part] else {}
+    words |= {"COUNT": "27"} if part in ("ENDS", "LENGTH_AT_AN_END") else {}
     head = _setting(verdict, condition, given) + given["random"] + given["sample"]
     if kind is MatrixKind.FIRST_ELEMENT:
         both = mi.variant(), unpolarised(mi.variant())

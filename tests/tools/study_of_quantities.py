@@ -1,8 +1,9 @@
 """How often 95 % intervals hold: ``python tests/tools/study_of_quantities.py``.
 
 Of each quantity, and of 1e3 to 1e6 rays, the part of 200 seeds whose interval has the
-value of many more rays. ``--rays N ...`` and ``--seeds N`` choose others. ``--cost``
-prints instead the CPU seconds of a standard error of 1 %, beside a map of 900 patches.
+value of many more rays. ``--rays N ...``, ``--seeds N`` and ``--truth N`` choose
+others. ``--cost`` prints instead the CPU seconds of a standard error of 1 %, beside a
+map of 900 patches.
 """
 
 import argparse
@@ -81,6 +82,7 @@ def main():
     parser.add_argument("--sampler", default="sobol")
     parser.add_argument("--only", nargs="+", default=list(STUDIES))
     parser.add_argument("--cost", action="store_true")
+    parser.add_argument("--truth", type=float, default=TRUTH)
     options = parser.parse_args()
     mi.set_variant("llvm_ad_mono")
     if options.cost:
@@ -88,7 +90,7 @@ def main():
         return
     for title in options.only:
         specimen, *names = STUDIES[title]
-        truth = stated(specimen, names, rays=TRUTH, seed=10**6)
+        truth = stated(specimen, names, rays=int(options.truth), seed=10**6)
         for rays in options.rays:
             began = time.process_time()
             runs = [

@@ -142,7 +142,7 @@ def weighted(record: Record, weights: Floats) -> Record:
 @cache
 def incandescent() -> Light:
     """Illuminant A (ISO/CIE 11664-2) times the photopic observer V."""
-    nm = np.arange(380.0, 781, 5)
+    nm = np.arange(380.0, 781)
     parts = np.array(mi.cie1931_xyz(mi.Float(nm.tolist())))[1]
     parts /= nm**5 * np.expm1(1.435e7 / (2848 * nm))
     return Light("visible", nm, parts / parts.sum())

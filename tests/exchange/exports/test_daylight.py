@@ -15,7 +15,13 @@ import gonio_mi as gonio
 from gonio_mi import cli
 from gonio_mi.collector.klems import Klems
 from gonio_mi.exchange.exports import exporting
-from gonio_mi.exchange.exports.daylight import SOLAR, VISIBLE, VISIBLE_NM, of_daylight
+from gonio_mi.exchange.exports.daylight import (
+    SOLAR,
+    VISIBLE,
+    VISIBLE_NM,
+    incandescent,
+    of_daylight,
+)
 from gonio_mi.exchange.formats import radiance
 
 EPS = np.finfo(float).eps
@@ -234,3 +240,17 @@ def test_one_wavelength_is_told_to_be_all_that_is_seen(tmp_path, capsys):
     words += ["--variant", "llvm_ad_spectral", "--wavelengths", "550"]
     assert cli.main([*words, "-o", str(tmp_path / "a.xml")]) == 0
     assert "klems-quarter as at 550nm, no block Solar" in capsys.readouterr().out
+
+
+def test_illuminant_a_has_its_chromaticity():
+    """x = 0.44758, y = 0.40745 (ISO/CIE 11664-2), rounded; twin: D65 is bluer.
+
+    By sums where Mitsuba's table of the observer has its entries, every 5 nm.
+    """
+    light = incandescent()
+    nm = light.nm[::5]
+    observer = np.array(mi.cie1931_xyz(mi.Float(nm.tolist())), dtype=float)
+    x, y, z = (observer / observer[1]) @ light.parts[::5]
+    assert [round(c / (x + y + z), 5) for c in (x, y)] == [0.44758, 0.40745]
+    x, y, z = (observer / observer[1]) @ np.interp(nm, VISIBLE.nm, VISIBLE.parts)
+    assert x / (x + y + z) < 0.33
