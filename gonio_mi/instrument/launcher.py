@@ -29,7 +29,7 @@ FUSED_RAYS = 2**22
 FUSED_SUMS = 2**19
 
 # The same numbers of all incident directions that share launches: beyond the cache,
-# because Dr.Jit's idle threads spin for 10 ms after each launch, and as many as Dr.Jit
+# because Dr.Jit's idle threads spin for 20 ms after each launch, and as many as Dr.Jit
 # 1.5 keeps apart for each thread, for more of them are added by atomic operations.
 STACKED_SUMS = 2**20
 
