@@ -18,7 +18,6 @@ from ..settings import (
     MeasurementSettings,
     Order,
 )
-from ..threads import park_threads
 from ..transport.beam import Beam
 from ..transport.bsdf_trial import check_works, warn_of_roughness
 from ..transport.collector_sphere import CollectorSphere
@@ -99,7 +98,6 @@ def set_up(
     specimen = Specimen(scene, settings.period)
     specimen.name = name
     _check_specimen(specimen, settings)
-    park_threads()
     corner = np.abs([specimen.low, specimen.high]).max(axis=0)
     if 0 < radius <= np.linalg.norm(corner):
         raise SpecimenError(

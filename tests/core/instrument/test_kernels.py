@@ -137,7 +137,7 @@ def test_threads_sleep_once_the_kernel_ran(monkeypatch, alone):
     monkeypatch.setattr(dr, "set_thread_count", changes.append)
     monkeypatch.setattr(threading, "active_count", lambda: 1 if alone else 2)
     gonio.measure(PLATE, 30, **SMALL)
-    assert changes.count(1) == (2 if alone else 0)  # also once all is set up
+    assert changes.count(1) == alone
 
 
 def task_of_plate():
