@@ -30,6 +30,17 @@ def thread_count(n: int | None) -> Iterator[None]:
             dr.set_thread_count(before)
 
 
+def park_threads() -> None:
+    """Let Dr.Jit's threads sleep, unless others of Python's might need them just then.
+
+    Idle ones spin for 20 ms after a kernel; new ones sleep until there is work, and are
+    made in a twentieth of a millisecond.
+    """
+    if threading.active_count() == 1:
+        with thread_count(1):
+            pass
+
+
 @contextlib.contextmanager
 def two_threads() -> Iterator[None]:
     """Context in which Dr.Jit has at least two threads.

@@ -8,6 +8,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..array_types import Floats
 from ..collector import Subdivision
 from ..collector.directions import direction
 from ..errors import SettingError, SettingTypeError, checked_number, shown, warn
@@ -107,9 +108,12 @@ def described_digest(emitter: dict[str, Any] | None) -> str | None:
     return emitter_digest(scene.emitters())
 
 
-def collimated(incident: tuple[float, float], side: str) -> Any:
+def towards(incident: tuple[float, float], side: str) -> Floats:
+    """Unit vector to the emitter of a collimated beam on the front or back."""
+    x, y, z = direction(*np.radians(incident))
+    return np.array([x, y, z if side == "front" else -z])
+
+
+def collimated(towards: Floats) -> Any:
     """Emitter of a collimated beam; it needs no scene."""
-    theta, phi = np.radians(incident)
-    x, y, z = direction(theta, phi)
-    flight = [-x, -y, -z if side == "front" else z]
-    return mi.load_dict({"type": "directional", "direction": flight})
+    return mi.load_dict({"type": "directional", "direction": (-towards).tolist()})

@@ -24,14 +24,10 @@ MAX_LAUNCH = 2**24
 
 # Rays of the batches that share a launch on a plane, and of any launch along a curve:
 # many for its overhead, few for the progress bar and Ctrl-C; and the numbers that they
-# add up to, kept apart for each thread and in its cache.
+# add up to, kept apart for each thread and in its cache: also those of several incident
+# directions.
 FUSED_RAYS = 2**22
 FUSED_SUMS = 2**19
-
-# The same numbers of all incident directions that share launches: beyond the cache,
-# because Dr.Jit's idle threads spin for 10 ms after each launch, and as many as Dr.Jit
-# 1.5 keeps apart for each thread, for more of them are added by atomic operations.
-STACKED_SUMS = 2**20
 
 # Rays of the first launch: traced and on a plane; and points that traced ones send
 # light to. Then as many as take a second.
@@ -109,7 +105,7 @@ class Launcher:
         # all that a direction sends
         whole = self.divisible and self.capacity == settings.batches
         if len(setups) >= FEWEST_TOGETHER and whole and _may_share(setup):
-            fitting = STACKED_SUMS // (sums * n_numbers() * settings.batches)
+            fitting = FUSED_SUMS // (sums * n_numbers() * settings.batches)
             if Target.of(settings) is None:
                 fitting = min(fitting, FUSED_RAYS // settings.rays)
             self.together = max(1, fitting)

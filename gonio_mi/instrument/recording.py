@@ -56,7 +56,7 @@ def _stack_of(
     lead = setups[0]
     for tally in tallies:
         _check_ledger(tally.ledger, lead)
-    if not mi.is_spectral:
+    if mi.is_rgb:
         tallies = [tally.first(1) if tally.achromatic else tally for tally in tallies]
     channels = max(tally.channels for tally in tallies)
     return Record(

@@ -30,7 +30,7 @@ from ..transport.specimen import Specimen
 from ..transport.surface_points import check_splittable
 from ..transport.wavelengths import check_covered, passes, wavelength_lanes
 from .choice import PILOT_INCIDENT, chosen
-from .incidence import collimated, described_digest, emitter_scene
+from .incidence import collimated, described_digest, emitter_scene, towards
 from .loading import loaded
 
 # Of specimens with media: by variant, wavelengths, digest and classes in Python.
@@ -112,11 +112,12 @@ def set_up(
     ) -> Setup:
         """The specimen, lit from a direction, or by the emitter as it is."""
         if emitter is None and incident is not None:
-            source, lights = None, [collimated(incident, settings.side)]
+            vector = towards(incident, settings.side)
+            source, lights = None, [collimated(vector)]
+            beam = _beam(specimen, settings, lights).turned(vector)
         else:
             source = emitter_scene(scene, emitter, incident, settings.side)
-            lights = source.emitters()
-        beam = _beam(specimen, settings, lights)
+            beam = _beam(specimen, settings, source.emitters())
         setup = Setup(settings, specimen, beam, collector, sampler, incident, described)
         setup.source = source  # with it its emitters would go
         setup.collect_orders(orders)
@@ -136,11 +137,8 @@ def set_up(
     angles = [incident for incident in incidents if incident is not None]
     if emitter is not None or not angles:
         return [first, *(lit(settings, incident) for incident in incidents[1:])]
-    setups = [first]
-    for incident in angles[1:]:
-        beam = first.beam.turned(collimated(incident, settings.side))
-        setups.append(first.turned(beam, incident))
-    return setups
+    beams = (first.beam.turned(towards(one, settings.side)) for one in angles[1:])
+    return [first, *map(first.turned, beams, angles[1:])]
 
 
 def _check_estimator(setup: Setup) -> None:

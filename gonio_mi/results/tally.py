@@ -119,7 +119,7 @@ class Ledger:
     @classmethod
     def from_counts(cls, counts: Iterable[SupportsInt]) -> Ledger:
         """Build from counts in the order of :class:`Fate`."""
-        return cls(*(int(n) for n in counts))
+        return cls(*map(int, counts))
 
     @property
     def rows(self) -> dict[str, int]:

@@ -85,7 +85,7 @@ class Beam:
         self.middle = np.array([*(low + high)[:2] / 2, high[2]])
         self.half = (high - low)[:2] / 2
         self.collimated = mi.has_flag(emitter.flags(), mi.EmitterFlags.DeltaDirection)
-        self.direction: Any = self._nominal_direction(emitter)
+        self.direction: Any = self._nominal_direction()
         self.side = -1 if self.direction is not None and self.direction[2] < 0 else 1
         if self.side < 0:
             self.middle[2] = low[2]
@@ -100,18 +100,20 @@ class Beam:
         self._aim()
         self._reference = None if self.uniform else self._power_counted_as_one(nm)
 
-    def turned(self, emitter: mi.Emitter) -> Beam:
-        """The same collimated beam from the direction of another emitter.
-
-        On the same side; of the emitter nothing else is asked.
-        """
+    def turned(self, direction: Floats) -> Beam:
+        """The same collimated beam from another direction, on the same side."""
         other = copy(self)
-        other.direction = other._nominal_direction(emitter)
+        other.direction = direction
         other._aim()
         return other
 
     def _aim(self) -> None:
         """Set what follows from the direction, which is checked."""
+        if self.direction is not None and abs(self.direction[2]) < 1e-6:
+            raise SpecimenError(
+                "the emitter must stand above or below the specimen's horizon, "
+                f"got a direction of {self.direction}"
+            )
         if self.collimated:
             self.wi = mi.Vector3f(in_memory(self.direction))
         if self.divergence:
@@ -191,8 +193,7 @@ class Beam:
             Of the lane's beam among them.
         """
         joint = copy(self)
-        each = [beam.direction for beam in beams]
-        joint.wi = mi.Vector3f(*_looked_up(each, number))
+        joint.wi = mi.Vector3f(*_looked_up([beam.direction for beam in beams], number))
         if self.incident is not None:
             joint._frame = _looked_up([beam._patch for beam in beams], number)
         return joint
@@ -273,30 +274,24 @@ class Beam:
             weight = weight * cosine
         return wi, distance, dr.select(lit, weight, 0.0)
 
-    def _nominal_direction(self, emitter: mi.Emitter) -> Any:
+    def _nominal_direction(self) -> Any:
         """Unit vector from the footprint's middle to the emitter's centre, or None."""
         if self.collimated:
             it = dr.zeros(mi.SurfaceInteraction3f)
             it.p = mi.Point3f(self.middle.tolist())
-            ds, _ = emitter.sample_direction(it, mi.Point2f(0.5))
+            ds, _ = self.emitter.sample_direction(it, mi.Point2f(0.5))
             vector = np.array([x[0] for x in ds.d])
-        elif emitter.is_environment():
+        elif self.emitter.is_environment():
             return None
         else:
             vector = self._centre() - self.middle
         norm = np.linalg.norm(vector)
         if not np.isfinite(norm) or norm == 0:
             raise SpecimenError(
-                f"the emitter {emitter.class_name()} must lie in a direction from "
+                f"the emitter {self.emitter.class_name()} must lie in a direction from "
                 "the specimen, got none"
             )
-        vector /= norm
-        if abs(vector[2]) < 1e-6:
-            raise SpecimenError(
-                "the emitter must stand above or below the specimen's horizon, "
-                f"got a direction of {vector}"
-            )
-        return vector
+        return vector / norm
 
     def _centre(self) -> Numbers:
         """Middle of the emitter's bounding box."""

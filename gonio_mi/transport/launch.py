@@ -12,6 +12,7 @@ from ..results.provenance import FACETS
 from ..results.tally import Fate
 from ..settings.measurement_settings import BRANCHES
 from ..settings.values import UNLIMITED
+from ..threads import park_threads
 from .beam import Beam
 from .exits import Exits, of_order
 from .kernels import check_variant_kept
@@ -117,6 +118,7 @@ def launch(one: Launch) -> Totals:
             break
         # fainter or brighter light than there was room for: once more, with room for it
         setup.levels = sums.lacking
+    park_threads()
     return sums.totals(len(sizes))
 
 

@@ -314,7 +314,7 @@ class Effort:
     few_angles : tuple of float
         Those of the back, of single components, and of radiance mode.
     threads : int, optional
-        Of Dr.Jit. Default: all. Those that few samples leave idle spin for 10 ms after
+        Of Dr.Jit. Default: all. Those that few samples leave idle spin for 20 ms after
         each kernel: half of the CPU time of `quick`.
     """
 

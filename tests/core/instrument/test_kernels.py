@@ -1,6 +1,7 @@
 """What users do around a measurement: threads, Dr.Jit's flags, plugins that raise."""
 
 import gc
+import threading
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -127,6 +128,16 @@ def test_threads_are_counted_when_nobody_changes_them(monkeypatch):
     with two_threads():
         assert seen
         assert not any(seen)
+
+
+@pytest.mark.parametrize("alone", [True, False])
+def test_threads_sleep_once_the_kernel_ran(monkeypatch, alone):
+    """New ones do; those that others of Python's may need are left as they are."""
+    changes = []
+    monkeypatch.setattr(dr, "set_thread_count", changes.append)
+    monkeypatch.setattr(threading, "active_count", lambda: 1 if alone else 2)
+    gonio.measure(PLATE, 30, **SMALL)
+    assert changes.count(1) == alone
 
 
 def task_of_plate():

@@ -33,7 +33,7 @@ def launches(monkeypatch):
         return send(one)
 
     monkeypatch.setattr(launcher, "launch", noted)
-    monkeypatch.setattr(launcher, "STACKED_SUMS", FIVE)
+    monkeypatch.setattr(launcher, "FUSED_SUMS", FIVE)
     return found
 
 
@@ -147,7 +147,7 @@ def test_ctrl_c_before_directions_are_precise(launches, monkeypatch):
     """All are kept as they are after the rounds that were shared."""
     monkeypatch.setattr(schedule, "PILOT_RAYS", 2**8)
     monkeypatch.setattr(launcher, "launch", interrupted_after(3, launches))
-    monkeypatch.setattr(launcher, "STACKED_SUMS", 3 * FIVE)
+    monkeypatch.setattr(launcher, "FUSED_SUMS", 3 * FIVE)
     wish = SMALL | {"rays": None, "rel_err": 0.05}
     with pytest.warns(RuntimeWarning, match="12 of 12 .*, some of them less precise"):
         part = gonio.measure(GLASS, **ANGLES, **wish)
@@ -163,7 +163,7 @@ def test_traced_directions_share_launches(launches, monkeypatch, settings):
 
     Also where a launch ends in the midst of the curves.
     """
-    monkeypatch.setattr(launcher, "STACKED_SUMS", 2 * FIVE)
+    monkeypatch.setattr(launcher, "FUSED_SUMS", 2 * FIVE)
     monkeypatch.setattr(launcher, "FIRST_TRACED", 4 * 2**10)
     hills = {"type": "heightfield", "alpha": 0.5, "resolution": 16, "bsdf": MATT}
     settings = SMALL | settings | {"rays": 5001}
