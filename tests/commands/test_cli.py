@@ -316,9 +316,16 @@ BAD_SPECIMENS = [
     ("difuse", "not found; did you mean diffuse?\n"),
     ("diffuse --phi_i=5", "--phi_i; did you mean --phi-i?\n"),
     ("nothing", '"nothing" not found; one of your own is imported before, or'),
-    ("diffuse:rho=1", "diffuse has no use for rho\n"),
-    ("roughdielectric:foo=1", "no use for foo\n"),
-    ("goniometric:filename=none.npz,foo=1", "there is no file none.npz\n"),
+    ("diffuse:rho=1", "diffuse has no use for rho; it knows reflectance\n"),
+    (
+        "dielectric:ior=1.5",
+        "ior; it knows ext_ior, int_ior, specular_reflectance, specular_transmitta",
+    ),
+    (
+        "glossymixture:diffuse=1",
+        "; it knows diffuse_reflectance, exponent, normalisation, specular_reflect",
+    ),
+    ("goniometric:x=1,filename=none.npz", "there is no file none.npz\n"),
     (
         "diffuse:rho=1,reflectence=0.3",
         "no use for rho, reflectence; did you mean reflectance?\n",
