@@ -187,6 +187,9 @@ def _scene(specimen: Any, parameters: dict[str, Any] | None, period: Any) -> Any
         parameters |= {"optimize": False}
         specimen = loaded(f"the specimen {path}", mi.load_file, str(path), **parameters)
     elif isinstance(specimen, dict):
+        if not isinstance(specimen.get("type"), str):
+            needs = "specimen must have a type, as {'type': 'diffuse'} has"
+            raise SpecimenError(f"{needs}, got {shown(specimen)}")
         check_named_files(specimen)
         if specimen.get("type") == "scene":
             specimen = specimen | WATERTIGHT
@@ -247,7 +250,7 @@ def _with_advice(text: str) -> str:
         return _no_metal(metal[1])
     if unused := UNUSED.search(text):
         kind, plugin, names = unused[1], unused[2], NAMED.findall(unused[3])
-        known, words = _parameters(kind, plugin), _words(plugin)
+        known, words = _parameters(kind, plugin), _words(plugin) - {*names}
         similar = [did_you_mean(x, known) or did_you_mean(x, words) for x in names]
         similar += [f"; it knows {', '.join(known)}"] if known else []
         # in quotes where spaces would go unseen

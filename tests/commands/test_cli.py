@@ -352,6 +352,8 @@ BAD_SPECIMENS = [
     ("roughconductor:material=gold", "got 'gold'; gold is Au\n"),
     ("conductor:material=Agg", "; did you mean Ag?\n"),
     ("diffuse:rho", "got 'diffuse:rho'"),
+    ("roughconductor:alpha=nan", "alpha must be a finite number, got nan\n"),
+    ("dielectric:int_ior=-Inf", "int_ior must be a finite number, got -Inf\n"),
     ("point", "specimen must be a BSDF"),
     ("missing.xml", "there is no file missing.xml"),
     ("none.png", "there is no file none.png\n"),

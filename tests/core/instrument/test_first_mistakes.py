@@ -118,11 +118,27 @@ def test_quiet_hides_no_warning(tmp_path, capsys):
         ("thetai", "theta_i"),
         ("n_rays", "rays"),
         ("emiter", "emitter"),
+        ("orders", "order"),
     ],
 )
 def test_the_argument_that_was_meant(word, meant):
     with pytest.raises(TypeError, match=rf"did you mean {meant}\?"):
         gonio.measure({"type": "diffuse"}, **{word: 5})
+
+
+@pytest.mark.parametrize("bsdf", [{}, {"reflectance": 0.5}, {"type": None}])
+def test_a_dictionary_without_a_type_is_told(bsdf):
+    with pytest.raises(gonio.SpecimenError, match=r"^specimen must have a type"):
+        gonio.measure(bsdf, 0)
+
+
+@pytest.mark.parametrize("wrong", [5, [], {"1": None}, ["run.npz"]])
+def test_what_is_no_record_is_told(wrong):
+    """Of plots, which take one."""
+    with pytest.raises(TypeError, match=r"^record must be a Record or several, got "):
+        gonio.plot(wrong)
+    with pytest.raises(TypeError, match=r"^record must be a Record or several, got "):
+        gonio.report(wrong, "page.html")
 
 
 def test_a_bsdf_in_one_word_is_told_as_a_dictionary():
