@@ -28,6 +28,7 @@ from ..errors import (
     own_place,
     shown,
     tells_of_our_bug,
+    warn,
 )
 from ..files.tensor_file import check_measured
 from ..surfaces.height_maps import is_height_map
@@ -368,7 +369,7 @@ def load_plugin_file(path: str | PathLike[str]) -> None:
         If the file is missing or raises.
     """
     check_variant(is_parallel)
-    path = Path(path)
+    path, before = Path(path), mi.variant()
     if not path.is_file():
         raise SpecimenError(no_file(path))
     folder = str(path.resolve().parent)
@@ -386,14 +387,14 @@ def load_plugin_file(path: str | PathLike[str]) -> None:
         content = path.read_bytes()
         text = importlib.util.decode_source(content)
         # digests and tracebacks are of what is run, whatever becomes of the file
-        lines = text.splitlines(keepends=True)
-        linecache.cache[str(path)] = (len(text), None, lines, str(path))
+        linecache.cache[str(path)] = len(text), None, text.splitlines(True), str(path)
         exec(compile(content, str(path), "exec"), scope)
     except (Exception, SystemExit) as error:
         # a user's file may raise anything
+        hint = "; leave out its mi.set_variant" if "backend" in str(error) else ""
         raise SpecimenError(
             f"plugin file {path} raised {type(error).__name__}: {_one_line(error)}"
-            f"{own_place(error)}"
+            f"{own_place(error)}{hint}"
         ) from error
     finally:
         sys.dont_write_bytecode = writes_no_bytecode
@@ -403,6 +404,8 @@ def load_plugin_file(path: str | PathLike[str]) -> None:
             if name not in known
             and str(getattr(module, "__file__", None)).startswith(folder + os.sep)
         ]
+    if mi.variant() != before:
+        warn(f"plugin file {path} sets the variant {mi.variant()}, instead of {before}")
 
 
 def surface_specimen(
