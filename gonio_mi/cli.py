@@ -125,8 +125,7 @@ def parser(command: str | None = None) -> Parser:
         description="A virtual goniophotometer for Mitsuba 3.",
         epilog=inspect.cleandoc(__doc__ or "").partition("\n\n")[2],
     )
-    text = "Show the version."
-    whole.add_argument("--version", action=_Version, nargs=0, help=text)
+    whole.add_argument("--version", action=_Version, nargs=0, help="Show the version.")
     commands = whole.add_subparsers(metavar="COMMAND", title="Commands")
     whole.set_defaults(run=_without_command)
     for name, summary in COMMANDS.items():

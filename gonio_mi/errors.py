@@ -82,7 +82,8 @@ def shown(value: object, longest: int = MAX_VALUE) -> str:
 
 def no_file(path: str | os.PathLike[str]) -> str:
     """What every command and plugin says of a file that is not there."""
-    return f"there is no file {printable(os.fspath(path))}"
+    name = printable(os.fspath(path))
+    return f"there is no file {name}{', but a folder' * os.path.isdir(path)}"
 
 
 def check_regular(path: str | os.PathLike[str]) -> None:

@@ -49,11 +49,7 @@ def triangles_of(parameters: Any) -> tuple[Numbers, Numbers] | None:
 
 
 def mesh_of(
-    props: mi.Properties,
-    name: str,
-    points: Singles,
-    faces: Any,
-    **others: Singles,
+    props: mi.Properties, name: str, points: Singles, faces: Any, **others: Singles
 ) -> mi.Mesh:
     """Mesh of points and triangles in world coordinates.
 

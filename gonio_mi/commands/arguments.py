@@ -90,8 +90,7 @@ def add_quiet(group: Group) -> None:
 
 def add_json(parser: argparse.ArgumentParser) -> None:
     """Add the option of printing JSON."""
-    text = "Print the result as JSON."
-    parser.add_argument("--json", action="store_true", help=text)
+    parser.add_argument("--json", action="store_true", help="Print the result as JSON.")
 
 
 def add_scene_options(

@@ -112,8 +112,7 @@ def add_options(parser: ArgumentParser) -> None:
 def _add_angles(group: Group) -> None:
     """Add the options of the incident directions."""
     several: dict[str, Any] = {"nargs": "+", "type": number}
-    text = "Angles of incidence in [0, 90)."
-    add_text(group, "--theta-i", "DEG", text, **several)
+    add_text(group, "--theta-i", "DEG", "Angles of incidence in [0, 90).", **several)
     text = "Azimuths of incidence, each combined with each --theta-i. Default: 0."
     add_text(group, "--phi-i", "DEG", text, default=[0], **several)
     text = "Instead of angles: choose incident directions adaptively until the "

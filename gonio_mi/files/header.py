@@ -169,10 +169,7 @@ def _tally(arrays: dict[str, Numbers], scale: int) -> Tally:
 
 
 def shapes_of_tally(
-    n_batches: int,
-    n_hemispheres: int | None,
-    patches: tuple[int, int],
-    n_channels: int,
+    n_batches: int, n_hemispheres: int | None, patches: tuple[int, int], n_channels: int
 ) -> dict[str, tuple[int | None, ...]]:
     """Shapes of all arrays that a tally may have; None for what is not known."""
     return {

@@ -28,6 +28,7 @@ from ..errors import (
     own_place,
     shown,
     tells_of_our_bug,
+    warn,
 )
 from ..files.tensor_file import check_measured
 from ..surfaces.height_maps import is_height_map
@@ -36,18 +37,13 @@ from ..threads import two_threads
 from ..transport.kernels import launches_kernels
 from ..transport.shapes import WATERTIGHT, forget, remember, scene_of
 from ..transport.variants import check_variant, is_parallel
-from .specimen_text import (
-    CALLED,
-    SpecimenLike,
-    parse_specimen,
-    with_real_indices,
-)
+from .specimen_text import CALLED, SpecimenLike, parse_specimen, with_real_indices
 
 # Texts that may hold heights or measured values.
 TEXTS = (".txt", ".csv", ".tsv")
 
 # How Mitsuba tells of parameters that a plugin did not read, and endings of plugins.
-UNUSED = re.compile(r'Found \d+ unreferenced \w+ in \w+ plugin of type "([^"]+)":(.*)')
+UNUSED = re.compile(r'Found \d+ unreferenced \w+ in (\w+) plugin of type "(.+?)":(.*)')
 NAMED = re.compile(r'- \w+ "([^"]+)"')
 PLUGINS = (".so", ".dylib", ".dll", ".py")
 
@@ -192,6 +188,9 @@ def _scene(specimen: Any, parameters: dict[str, Any] | None, period: Any) -> Any
         parameters |= {"optimize": False}
         specimen = loaded(f"the specimen {path}", mi.load_file, str(path), **parameters)
     elif isinstance(specimen, dict):
+        if not isinstance(specimen.get("type"), str):
+            needs = "specimen must have a type, as {'type': 'diffuse'} has"
+            raise SpecimenError(f"{needs}, got {shown(specimen)}")
         check_named_files(specimen)
         if specimen.get("type") == "scene":
             specimen = specimen | WATERTIGHT
@@ -251,13 +250,15 @@ def _with_advice(text: str) -> str:
     if metal := re.search(r'"data/ior/([^"]+)\.eta\.spd": file does not exist', text):
         return _no_metal(metal[1])
     if unused := UNUSED.search(text):
-        plugin, names = unused[1], NAMED.findall(unused[2])
-        similar = [did_you_mean(name, _words(plugin)) for name in names]
+        kind, plugin, names = unused[1], unused[2], NAMED.findall(unused[3])
+        known, words = _parameters(kind, plugin), _words(plugin) - {*names}
+        similar = [did_you_mean(x, known) or did_you_mean(x, words) for x in names]
+        similar += [f"; it knows {', '.join(known)}"] if known else []
         # in quotes where spaces would go unseen
-        words = [name if name == name.strip() else shown(name) for name in names]
+        names = [name if name == name.strip() else shown(name) for name in names]
         return (
             f"{text[: unused.start()]}the plugin {plugin} has no use for "
-            f"{', '.join(words)}{next(filter(None, similar), '')}"
+            f"{', '.join(names)}{next(filter(None, similar), '')}"
         )
     return text
 
@@ -282,12 +283,41 @@ def _plugin_files() -> dict[str, Path]:
 
 
 def _words(plugin: str) -> set[str]:
-    """Words in the file of a plugin, which are its parameters and others."""
+    """Words among which a plugin's parameters are.
+
+    Of ours they are those of its manual page; of Mitsuba's, the texts in its file, in
+    which some short ones are not; of others, the texts that BSDFs in Python begin with.
+    """
     path = _plugin_files().get(plugin)
     if path is None:
-        return set()
-    word = rb"\b[a-z]\w{2,}\b" if path.suffix == ".py" else rb"(?<=\0)[a-z]\w{2,}(?=\0)"
-    return {one.decode() for one in re.findall(word, path.read_bytes())}
+        own = [getattr(x.__init__, "__code__", None) for x in mi.BSDF.__subclasses__()]
+        texts = [x for code in filter(None, own) for x in code.co_consts]
+        return {x for x in texts if isinstance(x, str)}
+    text = path.read_bytes().decode(errors="replace")
+    if path.suffix == ".py":
+        rows = " ".join(re.findall(r"\* - ([a-z].+)", text))
+        return {*re.findall(r"\w+", rows)} - {"or", "and"}
+    return {"int_ior", "ext_ior", "k", *re.findall(r"(?<=\0)[a-z]\w{2,}(?=\0)", text)}
+
+
+def _parameters(kind: str, plugin: str) -> list[str]:
+    """Names of a plugin's parameters, as far as they can be found out.
+
+    A BSDF of Mitsuba's is given all words as booleans: it refuses, one after another,
+    those of its parameters that are none, and then Mitsuba lists what was not read.
+    """
+    words = _words(plugin)
+    if kind != "bsdf" or plugin in NEEDS:
+        return sorted(words) if kind == "unknown" and plugin in _plugin_files() else []
+    found = words & {"specular"}  # which principled refuses beside eta
+    for _ in words:
+        try:
+            mi.load_dict({"type": plugin, **dict.fromkeys(words - found, False)})
+        except RuntimeError as error:
+            if unread := NAMED.findall(str(error)):
+                return sorted(words - {*unread})
+            found |= words & {*re.findall(r"""['"](\w+)['"]""", str(error))}
+    return sorted(found)
 
 
 def _as_loaded(node: Any) -> Any:
@@ -296,13 +326,10 @@ def _as_loaded(node: Any) -> Any:
     ValueError for what has no type in Mitsuba, which prints lines of it, or is no text,
     or would end the process.
     """
-    if isinstance(node, str) and not node.isascii():
-        try:
-            node.encode()
-        except UnicodeEncodeError:
-            raise SpecimenError(
-                f"names of files must be UTF-8, got {shown(node)}: rename it"
-            ) from None
+    if isinstance(node, str) and re.search("[\ud800-\udfff]", node):  # in no UTF-8
+        raise SpecimenError(
+            f"names of files must be UTF-8, got {shown(node)}: rename it"
+        )
     if isinstance(node, dict):
         _check_complete(node.get("type"), node.keys() - {"type", "id"})
         for key, value in node.items():
@@ -342,7 +369,7 @@ def load_plugin_file(path: str | PathLike[str]) -> None:
         If the file is missing or raises.
     """
     check_variant(is_parallel)
-    path = Path(path)
+    path, before = Path(path), mi.variant()
     if not path.is_file():
         raise SpecimenError(no_file(path))
     folder = str(path.resolve().parent)
@@ -360,14 +387,14 @@ def load_plugin_file(path: str | PathLike[str]) -> None:
         content = path.read_bytes()
         text = importlib.util.decode_source(content)
         # digests and tracebacks are of what is run, whatever becomes of the file
-        lines = text.splitlines(keepends=True)
-        linecache.cache[str(path)] = (len(text), None, lines, str(path))
+        linecache.cache[str(path)] = len(text), None, text.splitlines(True), str(path)
         exec(compile(content, str(path), "exec"), scope)
     except (Exception, SystemExit) as error:
         # a user's file may raise anything
+        hint = "; leave out its mi.set_variant" if "backend" in str(error) else ""
         raise SpecimenError(
             f"plugin file {path} raised {type(error).__name__}: {_one_line(error)}"
-            f"{own_place(error)}"
+            f"{own_place(error)}{hint}"
         ) from error
     finally:
         sys.dont_write_bytecode = writes_no_bytecode
@@ -377,6 +404,8 @@ def load_plugin_file(path: str | PathLike[str]) -> None:
             if name not in known
             and str(getattr(module, "__file__", None)).startswith(folder + os.sep)
         ]
+    if mi.variant() != before:
+        warn(f"plugin file {path} sets the variant {mi.variant()}, instead of {before}")
 
 
 def surface_specimen(

@@ -91,7 +91,7 @@ def measure_orders(
     if not parsed:
         raise SettingError(f"orders must hold at least one order, got {shown(orders)}")
     incidents, stacked = incident_angles(theta_i, phi_i, settings.get("incident"))
-    records = measure_stacks(specimen, incidents, orders=parsed, **settings)
+    records = measure_stacks(specimen, incidents, parsed, **settings)
     return {
         str(order): record if stacked else record[0]
         for order, record in zip(parsed, records)
@@ -102,8 +102,9 @@ def measure_orders(
 def measure_stacks(
     specimen: SpecimenLike,
     incidents: Sequence[tuple[float, float] | None],
-    *,
     orders: Sequence[Order] = (),
+    /,
+    *,
     whole: bool = False,
     progress: bool = False,
     resume: Record | None = None,
@@ -130,9 +131,7 @@ def measure_stacks(
         given |= {"progress": progress, "parameters": parameters, "emitter": emitter}
         records: list[Record] = []
         for one in orders:
-            records += measure_stacks(
-                specimen, incidents, orders=[one], whole=whole, **given
-            )
+            records += measure_stacks(specimen, incidents, [one], whole=whole, **given)
             if records[-1].provenance.interrupted:
                 break
         return records

@@ -104,8 +104,7 @@ def mesh(
         bsdf = {"type": "twosided", "bsdf": dict(bsdf)}
     kind = MESHES[path.suffix.lower()]
     shape: dict[str, Any] = {"type": kind, "filename": str(path)}
-    if kind != "stl":
-        shape["face_normals"] = True
+    shape |= {} if kind == "stl" else {"face_normals": True}
     lying = loaded(f"the mesh {path}", mi.load_dict, dict(shape))
     corners = np.array(bounds([lying]))
     if not (lying.face_count() and np.isfinite(corners).all()):

@@ -199,15 +199,8 @@ def _beam(
     if mi.is_spectral and not collimated and not by_shape:
         check_covered([emitter], settings.wavelengths)
     nm = settings.wavelengths if mi.is_spectral else None
-    return Beam(
-        specimen,
-        emitter,
-        settings.footprint,
-        emission,
-        nm,
-        settings.divergence,
-        settings.incident,
-    )
+    spot, spread, incident = settings.footprint, settings.divergence, settings.incident
+    return Beam(specimen, emitter, spot, emission, nm, spread, incident)
 
 
 def _loaded_sampler(settings: MeasurementSettings) -> mi.Sampler:

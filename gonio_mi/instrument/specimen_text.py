@@ -68,6 +68,8 @@ def parse_specimen(text: str) -> Any:
             )
         if "," in value:
             raise SpecimenError(_with_commas(key, value))
+        if value.lower().lstrip("+-") in ("nan", "inf"):
+            raise SpecimenError(f"{key} must be a finite number, got {value}")
         specimen[key] = _value(value)
     return specimen
 

@@ -17,7 +17,7 @@ from ..errors import LABEL, SettingError, abridged, checked_count
 from ..files import check_output, replacing
 from ..progress import counted
 from ..results.planning import precision
-from ..results.record import Record
+from ..results.record import Record, checked_records
 from ..results.tally import sent_text, without_chance
 from ..single_precision import ROUNDING
 from .figure import (
@@ -106,6 +106,7 @@ def chosen(record: Record, index: int) -> Record:
     ValueError
         If there is no such direction.
     """
+    (record,) = checked_records([record])
     index = checked_count("index", index, 0)
     if index >= len(record):
         raise SettingError(

@@ -21,8 +21,6 @@ from ..collector.directions import direction
 from ..errors import (
     LABEL,
     PackageError,
-    SettingError,
-    SettingTypeError,
     abridged_apart,
     to_install,
 )
@@ -31,7 +29,7 @@ from ..plots import plot, plot_mueller, sheet
 from ..plots.figure import evenly
 from ..plots.plot import received
 from ..progress import bar
-from ..results.record import Record
+from ..results.record import Record, checked_records
 from ..results.summary import Summary, summarize
 from ..results.summary_text import percent, summary_text, total_cells
 from ..results.tally import grouped
@@ -98,14 +96,7 @@ def report(
     OSError
         If the file cannot be written.
     """
-    records = [records] if isinstance(records, Record) else list(records)
-    if not records:
-        raise SettingError("records must hold at least one record, got none")
-    for one in records:
-        if not isinstance(one, Record):
-            raise SettingTypeError(
-                f"records must be records of gonio_mi, got {type(one).__name__}"
-            )
+    records = checked_records(records)
     check_report(path)
     from plotly.offline import get_plotlyjs
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..annexes import ask
 from ..array_types import Floats
-from ..errors import SettingError, abridged, printable, shown
+from ..errors import SettingError, SettingTypeError, abridged, printable, shown
 from ..settings import MeasurementSettings
 from ..settings.measurement_settings import MAX_RAYS
 from .patch_means import PatchMeans
@@ -338,6 +338,16 @@ def chosen_channel(place: object, names: Sequence[str], channel: str | None) -> 
     if channel is not None:
         found = f", got {shown(channel)}"
     raise SettingError(f"channel must be one of {known} for {place}{found}")
+
+
+def checked_records(given: Any) -> list[Record]:
+    """List of one record or of several; SettingTypeError for anything else."""
+    several = [*given] if isinstance(given, Iterable) else []
+    records = [given] if isinstance(given, Record) else several
+    if not records or not all(isinstance(one, Record) for one in records):
+        text = f"record must be a Record or several, got {shown(given)}"
+        raise SettingTypeError(text)
+    return records
 
 
 # ---------------------------------------------------------------------- of other rooms

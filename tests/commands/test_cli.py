@@ -316,9 +316,16 @@ BAD_SPECIMENS = [
     ("difuse", "not found; did you mean diffuse?\n"),
     ("diffuse --phi_i=5", "--phi_i; did you mean --phi-i?\n"),
     ("nothing", '"nothing" not found; one of your own is imported before, or'),
-    ("diffuse:rho=1", "diffuse has no use for rho\n"),
-    ("roughdielectric:foo=1", "no use for foo\n"),
-    ("goniometric:filename=none.npz,foo=1", "there is no file none.npz\n"),
+    ("diffuse:rho=1", "diffuse has no use for rho; it knows reflectance\n"),
+    (
+        "dielectric:ior=1.5",
+        "ior; it knows ext_ior, int_ior, specular_reflectance, specular_transmitta",
+    ),
+    (
+        "glossymixture:diffuse=1",
+        "; it knows diffuse_reflectance, exponent, normalisation, specular_reflect",
+    ),
+    ("goniometric:x=1,filename=none.npz", "there is no file none.npz\n"),
     (
         "diffuse:rho=1,reflectence=0.3",
         "no use for rho, reflectence; did you mean reflectance?\n",
@@ -345,6 +352,8 @@ BAD_SPECIMENS = [
     ("roughconductor:material=gold", "got 'gold'; gold is Au\n"),
     ("conductor:material=Agg", "; did you mean Ag?\n"),
     ("diffuse:rho", "got 'diffuse:rho'"),
+    ("roughconductor:alpha=nan", "alpha must be a finite number, got nan\n"),
+    ("dielectric:int_ior=-Inf", "int_ior must be a finite number, got -Inf\n"),
     ("point", "specimen must be a BSDF"),
     ("missing.xml", "there is no file missing.xml"),
     ("none.png", "there is no file none.png\n"),
@@ -387,6 +396,7 @@ BAD_LINES = [
     ("compare diffuse none.csv", ": there is no file none.csv\n"),
     ("show --json a.json", "--json takes no file, for it prints"),
     ("show missing.npz", "missing.npz"),
+    ("validate .", "there is no file ., but a folder"),
     ("show run.txt", "there is no file run.txt"),
     ("plot missing.npz -o a.png", "missing.npz"),
 ]

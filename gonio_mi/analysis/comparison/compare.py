@@ -20,7 +20,7 @@ from ...errors import (
 )
 from ...files.measured_table import ANGLE_DIGITS, COLUMNS, NUMBERS, MeasuredTable
 from ...instrument.specimen_text import SpecimenLike
-from ...results.record import Record
+from ...results.record import Record, checked_records
 from ...results.tally import ELEMENT_NAMES, PolarisedTally, without_chance
 from .agreement import MIN_STUDENT_HITS, PointSet, judge, mostly_few
 from .comparison import Comparison
@@ -172,11 +172,7 @@ def _with_specimen_measured(
         other = measure_like(other, record, **settings)[0]
     elif settings:
         raise SettingTypeError(f"{min(settings)} applies to a specimen, got none")
-    records = [record] if isinstance(record, Record) else list(record)
-    if not records or not all(isinstance(r, Record) for r in records):
-        raise SettingTypeError(
-            f"record must be a Record or several, got {shown(record)}"
-        )
+    records = checked_records(record)
     if not isinstance(other, (Record, MeasuredTable)):
         raise SettingTypeError(
             f"other must be a Record or a MeasuredTable, got {shown(other)}"

@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from ...array_types import Floats
-from ...errors import SettingError
+from ...errors import SettingError, shown
 from ...files.measured_table import MeasuredTable
 from ...instrument.measure import measure_each
 from ...instrument.specimen_text import SpecimenLike, parse_specimen, specimen_name
@@ -95,9 +95,12 @@ def fit(
     ValueError
         If the record cannot be fitted, or does not determine the parameters.
     """
-    bsdf = parse_specimen(model) if isinstance(model, str) else dict(model)
-    if not isinstance(bsdf, dict):
-        raise SettingError(f"model must be a BSDF in one word, got {model!r}")
+    bsdf = parse_specimen(model) if isinstance(model, str) else model
+    if not (isinstance(bsdf, Mapping) and "type" in bsdf):
+        raise SettingError(f"model must be a BSDF in one word, got {shown(model)}")
+    if isinstance(record, Mapping) and "type" not in record:  # several, of orders
+        text = f"record must be one record, table or specimen, got {shown(record)}"
+        raise SettingError(f"{text}: take one of these")
     told = {
         "uncertainty": uncertainty,
         "scale_uncertainty": scale_uncertainty,
@@ -228,7 +231,7 @@ def _check(record: Record) -> None:
     if filled or not np.isfinite(record.theta_i).all():
         raise SettingError("a fit needs a record of a collimated beam")
     if not record.flux_fraction.any():
-        raise SettingError("a fit needs a record of light in its patches")
+        raise SettingError(f"a fit needs light, got none (order: {record.asked.order})")
     if np.isnan(record.brdf_std_err[record.brdf > 0]).any():
         raise SettingError("a fit needs a record with error bars, of several batches")
 

@@ -230,6 +230,7 @@ class Parameter:
                 raise SettingError(
                     f"free must name parameters such as {', '.join(list(KNOWN)[:6])}, "
                     f"or any with its limits as in weight=0:1, got {shown(text)}"
+                    f"{did_you_mean(name, KNOWN)}"
                 )
             return cls(name, *KNOWN[name])
         try:

@@ -67,11 +67,7 @@ class RecordObservations:
         variances = self.variances(predicted) if self.stated else relative**2
         return float(np.sum((predicted - self.values) ** 2 / variances))
 
-    def propagated(
-        self,
-        estimate: Floats,
-        variances: Floats,
-    ) -> Floats:
+    def propagated(self, estimate: Floats, variances: Floats) -> Floats:
         """Covariance of a linear estimate: by batches, detectors together."""
         if not self._has_batches:
             return (estimate * variances) @ estimate.T

@@ -123,7 +123,7 @@ def quantity(
     """
     if mi.is_spectral and settings.get("wavelengths") is None:
         settings["wavelengths"] = ask("exchange", "VISIBLE_NM")
-    words = [name] if isinstance(name, str) else list(name)
+    words = [name] if isinstance(name, str) else [*map(str, name)]
     asked = {one: definition_of(one) for w in words for one in GROUPS.get(w, (w,))}
     parts = [part for one in asked.values() for part in (one, one.minus) if part]
     records: dict[int, Record] = {}

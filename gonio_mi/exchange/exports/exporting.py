@@ -13,7 +13,7 @@ from ...errors import SettingError, checked_choice, warn
 from ...files import check_output, netcdf, replacing
 from ...files.measured_table import MeasuredTable
 from ...files.writing import takes_a_stream
-from ...results.record import Record, fractions_of
+from ...results.record import Record, checked_records, fractions_of
 from ...results.summary import OVER_THE_EDGE, summarize
 from ...results.tally import ELEMENT_NAMES
 from ..formats.radiance import BASES, Product
@@ -110,9 +110,7 @@ def export(
         )
     checked_choice("basis", basis, BASES)
     ending = Path(path).suffix.lower()
-    records = [record] if isinstance(record, Record) else list(record)
-    if not records:
-        raise SettingError("record must be one record or more, got none")
+    records = checked_records(record)
     if ending not in POLARISED and any(one.polarised for one in records):
         raise SettingError(
             f"a file {ending} holds no Mueller matrices, which {', '.join(POLARISED)} "

@@ -452,7 +452,11 @@ def test_variances_are_pooled():
         ({"batches": 1}, "diffuse", None, "error bars"),
         ({"divergence": 5}, "diffuse", None, "collimated"),
         ({"incident": "projected:2x2"}, "diffuse", None, "collimated"),
+        ({"order": 2}, "diffuse", None, r"a fit needs light, got none \(order: 2\)"),
         ({}, "diffuse", ["colour"], "free must name parameters such as"),
+        ({}, "roughplastic", ["alhpa"], "got 'alhpa'; did you mean alpha"),
+        ({}, {"reflectance": 0.5}, None, "must be a BSDF in one word, got {'refl"),
+        ({}, None, None, "must be a BSDF in one word, got None"),
         ({}, "roughplastik", None, "only; did you mean roughplastic"),
         ({}, "diffuse", ["x=1:0"], "limits as in x=0:1"),
         ({}, "diffuse:reflectance=0.5", None, "got nothing"),
@@ -471,6 +475,17 @@ def test_bad_input_is_one_sentence(make, model, free, message):
     with pytest.raises(SettingError, match=message) as caught:
         gonio.fit(record, model, free)
     assert "\n" not in str(caught.value)
+
+
+def test_records_by_order_are_fitted_one_by_one():
+    """Exact: light that is scattered once is that of a flat specimen."""
+    records = gonio.measure_orders(METAL, [30], rays=2**16, collector="angle:2x2")
+    with pytest.raises(SettingError, match=r"must be one record.*: take one of these"):
+        gonio.fit(records, "roughconductor:distribution=ggx")
+    of_all = measured(METAL, [30], rays=2**16, collector="angle:2x2")
+    model = "roughconductor:distribution=ggx,alpha=0.3"
+    once, at_all = (gonio.fit(one, model) for one in (records["1"], of_all))
+    assert once.values.tolist() == at_all.values.tolist()
 
 
 def test_what_a_record_does_not_determine_is_told():

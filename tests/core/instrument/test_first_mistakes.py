@@ -118,11 +118,27 @@ def test_quiet_hides_no_warning(tmp_path, capsys):
         ("thetai", "theta_i"),
         ("n_rays", "rays"),
         ("emiter", "emitter"),
+        ("orders", "order"),
     ],
 )
 def test_the_argument_that_was_meant(word, meant):
     with pytest.raises(TypeError, match=rf"did you mean {meant}\?"):
         gonio.measure({"type": "diffuse"}, **{word: 5})
+
+
+@pytest.mark.parametrize("bsdf", [{}, {"reflectance": 0.5}, {"type": None}])
+def test_a_dictionary_without_a_type_is_told(bsdf):
+    with pytest.raises(gonio.SpecimenError, match=r"^specimen must have a type"):
+        gonio.measure(bsdf, 0)
+
+
+@pytest.mark.parametrize("wrong", [5, [], {"1": None}, ["run.npz"]])
+def test_what_is_no_record_is_told(wrong):
+    """Of plots, which take one."""
+    with pytest.raises(TypeError, match=r"^record must be a Record or several, got "):
+        gonio.plot(wrong)
+    with pytest.raises(TypeError, match=r"^record must be a Record or several, got "):
+        gonio.report(wrong, "page.html")
 
 
 def test_a_bsdf_in_one_word_is_told_as_a_dictionary():
@@ -132,6 +148,91 @@ def test_a_bsdf_in_one_word_is_told_as_a_dictionary():
     with pytest.raises(gonio.SpecimenError) as told:
         gonio.measure("scene.xml", 0)
     assert "dictionary" not in str(told.value)
+
+
+# By Mitsuba's manual, which names `k` and `eta` too; `alpha` is read by a helper of it.
+MICROFACETS = {"alpha", "alpha_u", "alpha_v", "distribution", "sample_visible"}
+INDICES = {"int_ior", "ext_ior"}
+METAL = {"material", "eta", "k", "specular_reflectance"}
+PARAMETERS = {
+    "diffuse": {"reflectance"},
+    "conductor": METAL,
+    "roughconductor": METAL | MICROFACETS,
+    "dielectric": INDICES | {"specular_reflectance", "specular_transmittance"},
+    "plastic": INDICES | {"diffuse_reflectance", "specular_reflectance", "nonlinear"},
+    "principled": {
+        *("base_color", "roughness", "anisotropic", "metallic", "spec_trans", "eta"),
+        *("specular", "spec_tint", "sheen", "sheen_tint", "flatness", "clearcoat"),
+        *("clearcoat_gloss", "clearcoat_sampling_rate", "main_specular_sampling_rate"),
+        "diffuse_reflectance_sampling_rate",
+    },
+}
+
+
+@pytest.mark.parametrize("plugin", PARAMETERS)
+def test_the_parameters_of_a_bsdf_are_told(plugin):
+    """Exact: all that the manual has, and no other word of the plugin's file."""
+    with pytest.raises(gonio.SpecimenError, match=f"{plugin} has no use for x") as told:
+        gonio.measure({"type": plugin, "x": 1.0}, 0)
+    assert {*str(told.value).partition("it knows ")[2].split(", ")} == PARAMETERS[
+        plugin
+    ]
+
+
+CHECKERS = {"type": "checkerboard", "color0": 0.2}
+DIFFUSE = {"type": "diffuse"}
+
+
+@pytest.mark.parametrize(
+    ("bsdf", "meant"),
+    [
+        ({"type": "mask", "opacty": 0.5, "bsdf": DIFFUSE}, "opacity"),
+        ({"type": "twosided", "bsdf": {"type": "hair", "eumelnin": 1.0}}, "eumelanin"),
+        ({"type": "blendbsdf", "weigth": 0.5, "1": DIFFUSE, "2": DIFFUSE}, None),
+        ({"type": "bumpmap", "scal": 1, "t": CHECKERS, "bsdf": DIFFUSE}, "scale"),
+        ({"type": "diffuse", "reflectance": CHECKERS | {"colour1": 0.1}}, "color1"),
+        ({"type": "first_mistakes", "rougness": 0.5, "tint": 1.0}, "roughness"),
+        ({"type": "first_mistakes", "x": 0.5, "tint": 1.0}, None),
+    ],
+)
+def test_a_nested_texture_or_own_parameter_that_was_meant(bsdf, meant):
+    class FirstMistakes(mi.BSDF):
+        def __init__(self, props):
+            super().__init__(props)
+            self.roughness, self.tint = props.get("roughness", 0.3), props["tint"]
+
+    mi.register_bsdf("first_mistakes", FirstMistakes)
+    with pytest.raises(gonio.SpecimenError) as told:
+        gonio.measure(bsdf, 0)
+    message = str(told.value)
+    assert message.endswith(f"; did you mean {meant}?") == (meant is not None), message
+
+
+@pytest.mark.parametrize(
+    "bsdf",
+    [
+        {
+            "type": "roughconductor",
+            "alpha_u": 0.1,
+            "alpha_v": 0.2,
+            "eta": 1.5,
+            "k": 2.0,
+        },
+        {"type": "principled", "specular": 0.4, "clearcoat_sampling_rate": 0.5},
+        {"type": "plastic", "int_ior": "water", "ext_ior": 1, "nonlinear": True},
+        {"type": "twosided", "bsdf": {"type": "pplastic", "alpha": 0.3, "id": "x"}},
+        {"type": "diffuse", "reflectance": {"type": "uniform", "value": 0.3}},
+        {
+            "type": "blendbsdf",
+            "weight": CHECKERS,
+            "a": DIFFUSE,
+            "b": DIFFUSE | {"id": "b"},
+        },
+        {"type": "mask", "opacity": CHECKERS, "whatever its name": DIFFUSE},
+    ],
+)
+def test_twin_right_parameters_are_taken(bsdf):
+    gonio.measure(bsdf, 0, **FEW)
 
 
 @pytest.mark.needs("validation")

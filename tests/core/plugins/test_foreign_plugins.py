@@ -167,6 +167,23 @@ def test_plugins_may_look_into_their_arguments(of, estimator, footprint, plugin,
         assert (found > 0).all()
 
 
+def test_a_file_that_sets_its_own_variant_is_told(tmp_path, rgb):  # noqa: ARG001
+    """As most files in public do; the twin sets the one that is set."""
+    path = tmp_path / "sets.py"
+    path.write_text("import mitsuba as mi\nmi.set_variant('llvm_ad_mono')\n")
+    told = "sets the variant llvm_ad_mono, instead of llvm_ad_rgb"
+    with pytest.warns(RuntimeWarning, match=told):
+        load_plugin_file(path)
+    assert mi.variant() == "llvm_ad_mono"
+    load_plugin_file(path)
+    path.write_text("raise ImportError('the CUDA backend is not there')\n")
+    with pytest.raises(gonio.SpecimenError, match=r"; leave out its mi\.set_variant$"):
+        load_plugin_file(path)
+    path.write_text("raise ImportError('no module')\n")
+    with pytest.raises(gonio.SpecimenError, match=r"no module \(sets\.py, line 1\)$"):
+        load_plugin_file(path)
+
+
 def test_integrals_of_plugins_that_look_into_their_arguments(plugin, rgb):  # noqa: ARG001
     """Rounding: single precision of values that are summed in double precision."""
     load_plugin_file(plugin)
