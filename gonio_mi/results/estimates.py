@@ -282,7 +282,8 @@ class SampledEstimates(Estimates):
         missed = np.where(few, largest, weight) if self.deposited else weight
         heavy = np.where(rare, heavy, 0.0)
         unlike = self._unlike_interval(fraction, scatter, missed, heavy, level)
-        student = alike = self._student(fraction, scatter, weight, hits, level)
+        more = (hits < self.rays) | self.deposited
+        student = alike = self._student(fraction, scatter, weight, more, level)
         if not self.deposited:
             low, high = statistics.binomial_interval(hits, self.rays, level)
             alike = low * weight, high * weight
@@ -302,9 +303,8 @@ class SampledEstimates(Estimates):
     def _few(self, value: Floats, scatter: Floats, hits: Counts) -> Flags:
         """Whether there are hits, but too few or too unlike ones for Student's t."""
         if not self.deposited:
-            return (hits > 0) & (
-                hits < (MIN_HITS if self.independent else MIN_EVEN_HITS)
-            )
+            enough = MIN_HITS if self.independent else MIN_EVEN_HITS
+            return (hits > 0) & (hits < enough)
         # so far from evenly spread and alike that some of great weight are missing;
         # where most patches say so, those that do not may have missed all of them
         uneven = scatter * np.sqrt(hits) > MAX_EVEN_SCATTER * value
@@ -314,12 +314,10 @@ class SampledEstimates(Estimates):
 
     def total_interval(self, hemisphere: int, level: float) -> tuple[Floats, Floats]:
         """Limits of :meth:`total`."""
-        value = self.total(hemisphere)
+        value, std_err = self.total(hemisphere), self.total_std_err(hemisphere)
         hits = self.tally.hits[hemisphere].sum() // self.passes
         heavy = self._heavy(hemisphere)
-        return self._sampled_interval(
-            value, self.total_std_err(hemisphere), hits, heavy, level
-        )
+        return self._sampled_interval(value, std_err, hits, heavy, level)
 
     @property
     def direct_std_err(self) -> Floats:
@@ -329,10 +327,8 @@ class SampledEstimates(Estimates):
     def direct_interval(self, level: float) -> tuple[Floats, Floats]:
         """Limits of `direct`."""
         hits = self.tally.ledger.direct // self.passes
-        alike = np.zeros(self.direct.shape)
-        return self._sampled_interval(
-            self.direct, self.direct_std_err, hits, alike, level
-        )
+        std_err, alike = self.direct_std_err, np.zeros(self.direct.shape)
+        return self._sampled_interval(self.direct, std_err, hits, alike, level)
 
     def _sampled_interval(
         self, value: Floats, std_err: Floats, hits: int, heavy: Floats, level: float
@@ -342,7 +338,7 @@ class SampledEstimates(Estimates):
             of_each = np.broadcast_to(hits, value.shape)
             return statistics.binomial_interval(of_each, self.rays, level)
         weight = value * self.rays / hits
-        limits = self._student(value, std_err, weight, hits, level)
+        limits = self._student(value, std_err, weight, hits < self.rays, level)
         unlike = self._unlike_interval(value, std_err, weight, heavy, level)
         rare = self._rare(value, std_err, hits, heavy)
         wide = zip(_widened(limits, unlike), limits)
@@ -377,29 +373,23 @@ class SampledEstimates(Estimates):
         value: Floats,
         std_err: Floats,
         weight: Floats,
-        hits: Counts | int,
+        more: Flags | bool,
         level: float,
     ) -> tuple[Floats, Floats]:
         """Interval by Student's t, which leaves open what too few rays show.
 
         So many rays as would leave an empty patch empty may be of another kind, of
         which none was seen (Hanley and Lippman-Hand 1983, JAMA 249, 1743): rays that
-        are lost, or received as well; and where all were received, which hits of unit
-        weight at most can exceed, rays of that weight. However many the rays, they
-        leave open the rounding of what they carry.
+        are lost, or received as well; and where no `more` can be received, which hits
+        of unit weight at most can exceed, rays of that weight. However many the rays,
+        they leave open the rounding of what they carry.
         """
         unseen = statistics.upper_limit(self.rays, level)
-        more = (hits < self.rays) | self.deposited
         above = np.where(more, weight, np.maximum(1 - weight, 0))
-        rounding = ROUNDING * value
-        return statistics.student_interval(
-            value,
-            std_err,
-            self.tally.n_batches,
-            level,
-            below=np.maximum(unseen * weight, rounding),
-            above=np.where(above > 0, np.maximum(unseen * above, rounding), 0.0),
-        )
+        rounding, n = ROUNDING * value, self.tally.n_batches
+        below = np.maximum(unseen * weight, rounding)
+        above = np.where(above > 0, np.maximum(unseen * above, rounding), 0.0)
+        return statistics.student_interval(value, std_err, n, level, below, above)
 
 
 def _widened(
@@ -492,6 +482,19 @@ class SplitEstimates(ControlledEstimates):
     def noise(self, hemisphere: int) -> Floats:
         """Scatter of the batches, without what rays may have missed."""
         return self._scatter(hemisphere)
+
+    def interval(self, hemisphere: int, level: float) -> tuple[Floats, Floats]:
+        """Limits of :meth:`fraction`, also where few points send most of it.
+
+        As many as explain its scatter, of which one more may have been missed; that
+        weighs at least as much as in the median patch.
+        """
+        value, scatter = self.fraction(hemisphere), self._scatter(hemisphere)
+        weight = np.zeros(value.shape)
+        np.divide(scatter**2, value, out=weight, where=(value > 0) & (scatter > 0))
+        weight = np.fmax(weight, np.median(weight, axis=(0, 1)))
+        few = statistics.gamma_interval(value, scatter, weight, level)
+        return _widened(super().interval(hemisphere, level), few)
 
 
 @dataclass(frozen=True, eq=False)

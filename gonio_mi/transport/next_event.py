@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import SpecimenError
+from ..single_precision import FEW_ROUNDINGS
 from .exits import Exits
 from .polarisation import in_instrument_frames, power_of, product
 from .rays import Flight, departure, escapes
@@ -84,6 +85,8 @@ class Deposits:
             self.lower = LOWER_IF_DIM if dim or specimen.appears_opaque else LOWER
         subdivision = setup.collector.subdivision
         theta_low, theta_high, phi_low, phi_high = subdivision.cells.T
+        if subdivision.axes is not None:  # rounding takes points out of it, and in
+            theta_high = np.minimum(theta_high + FEW_ROUNDINGS, np.pi / 2)
         # sin^2(theta / 2) is proportional to solid angle, and exact at the pole
         low, high = np.sin(theta_low / 2) ** 2, np.sin(theta_high / 2) ** 2
         table = (low, high - low, phi_low, phi_high - phi_low)
@@ -206,8 +209,7 @@ class Deposits:
         spread = self._spread(patch, lower, change)
         spread *= dr.rcp(dr.opaque(mi.Float, self.points))
         expected = exits.density * spread  # times the density of all points
-        part = expected * dr.rcp(1 + expected)
-        part = dr.select(dr.isinf(exits.density), 1.0, part)
+        part = dr.select(dr.isinf(exits.density), 1.0, expected * dr.rcp(1 + expected))
         active &= part > 0
         self.sums.deposit(bins, exits.throughput * part, active, self.batch)
 
@@ -238,8 +240,7 @@ class Deposits:
         setup = self.setup
         upper = dr.opaque(mi.Float, 1 - self.lower)
         lower = share >= upper
-        part = dr.select(lower, 1 - upper, upper)
-        place = dr.select(lower, share - upper, share) / part
+        place = dr.select(lower, (share - upper) / (1 - upper), share / upper)
         patch = mi.UInt32(place * float(setup.n_patches))
         patch = dr.minimum(patch, setup.n_patches - 1)
         number = patch + dr.select(lower, mi.UInt32(setup.n_patches), 0)
@@ -258,8 +259,7 @@ class Deposits:
         up = dr.select(lower, -float(setup.beam.side), float(setup.beam.side))
         point.z *= up
         seen, change = setup.collector.seen(p, point)
-        spread = self._spread(patch, lower, change)
-        return number, seen, dr.select(inside, spread, 0.0)
+        return number, seen, dr.select(inside, self._spread(patch, lower, change), 0.0)
 
 
 def _after(place: mi.Point2f, i: mi.UInt32) -> mi.Point2f:

@@ -6,14 +6,17 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import synthetic
+from budget import agree, disagree, often_enough
 
 from gonio_mi.results import statistics
 from gonio_mi.results.estimates import (
     MIN_DEPOSITS,
     MIN_EVEN_HITS,
     MIN_HITS,
+    ControlledEstimates,
     IntegralEstimates,
     SampledEstimates,
+    SplitEstimates,
 )
 from gonio_mi.results.tally import WEIGHT_SCALE, Fate, Integrals, Tally
 
@@ -111,6 +114,39 @@ def test_few_deposits_have_the_limits_of_weighted_counts():
         301 * 0.5 / (2 * RAYS), 0.25 / RAYS, 2, LEVEL, 0, 0
     )
     close((low[5], high[5]), many)
+
+
+@pytest.mark.parametrize("full", [True, False])
+def test_a_total_of_deposits_leaves_bright_rays_open(full):
+    """As one of weights, where all were received; twin: one deposit less than rays."""
+    each = tally([(RAYS // 2, RAYS // 2), (RAYS // 2, RAYS // 2 - 1 + full)], 0.25)
+    one = SampledEstimates(each, independent=False, deposited=True)
+    (value,), (_, (high,)) = one.total(0), one.total_interval(0, LEVEL)
+    unseen = statistics.upper_limit(2 * RAYS, LEVEL)
+    if full:
+        close(high - value, unseen * 0.75)
+    else:
+        assert high - value < unseen * 0.75
+
+
+def test_points_that_send_most_of_a_patch_are_counted():
+    """About 2 to 12 of 2048 points each; twin: as one more branch alone allows for."""
+    rng, met = np.random.default_rng(0), np.arange(2, 13)
+    held = []
+    for _ in range(400):
+        each = tally(np.full((11, 16), 0))
+        counts = rng.poisson(met / 16, (16, 11)) / 128
+        sums = counts[:, None, None, :, None] * each.incident[0, 0]
+        hits = np.full(each.hits.shape, 2048, np.uint64)
+        one = SplitEstimates(replace(each, hits=hits, sums=sums), independent=False)
+        kinds = SplitEstimates, ControlledEstimates
+        limits = [np.ravel(kind.interval(one, 0, 0.95)) for kind in kinds]
+        found = np.reshape(limits, (2, 2, 11))
+        held.append((found[:, 0] <= met / 2048) & (met / 2048 <= found[:, 1]))
+    agree(often_enough([np.mean(each[0]) for each in held]))
+    for patch in (0, 3):
+        agree(often_enough([each[0, patch] for each in held]))
+    disagree(often_enough([each[1, 3] for each in held]))
 
 
 def test_an_empty_patch_may_be_of_the_largest_weight():

@@ -17,6 +17,7 @@ from budget import (
     of_total,
     often_enough,
     scores,
+    single,
     verdict,
 )
 from scipy import stats
@@ -35,8 +36,10 @@ import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
 from gonio_mi.errors import SpecimenError
 from gonio_mi.instrument.loading import load_specimen
-from gonio_mi.results.statistics import batch_std_err
+from gonio_mi.results.statistics import batch_std_err, student_score
 from gonio_mi.settings.measurement_settings import PILOT_RAYS
+from gonio_mi.single_precision import FEW_ROUNDINGS
+from gonio_mi.transport import next_event
 from gonio_mi.transport.rays import escapes
 from gonio_mi.transport.specimen import Specimen
 
@@ -136,6 +139,19 @@ def test_lambertian_plane():
         agree(verdict(scores(record, truth)))
         disagree(verdict(scores(record, 1.03 * truth)))
         assert record.ledger.reflected + record.ledger.rejected == RAYS
+
+
+@pytest.mark.parametrize("margin", [FEW_ROUNDINGS, 0])
+def test_the_narrowest_window_loses_no_points(margin, monkeypatch):
+    """Of a Lambertian; twin: points of the window alone, which rounding takes out."""
+    monkeypatch.setattr(next_event, "FEW_ROUNDINGS", margin)
+    half = {"type": "diffuse", "reflectance": 0.5}
+    settings = {"estimator": "next_event", "trace": True, "points": 64}
+    window = "receptors:45/180/0.02"
+    record = gonio.measure(half, 20, rays=2**17, collector=window, **settings)
+    error = record.brdf[0, 0, 0] - 0.5 / np.pi
+    z = student_score(error / record.brdf_std_err[0, 0, 0], record.n_batches - 1)
+    (agree if margin else disagree)(single(z))
 
 
 def test_delta_specimens_are_those_of_weighted():
