@@ -10,14 +10,11 @@ import numpy as np
 
 from ...array_types import Flags, Floats, Integers
 from ...errors import SettingError
-from ...mitsuba_compat import floats
 from ...transport.bsdf_trial import PluginFault
 from ...transport.variants import unpolarised
-from ..conditions import Condition
 from ..evidence import BIAS, POLARISING, SAME, Evidence, Question
 from ..mistakes import Mistake
-from ..mueller import Lobes, Matrices
-from ..probe import Probe, numbers, random_numbers, spectral, vectors
+from ..mueller import Lobes, Matrices, MuellerProbe
 from ..samples import beyond_rounding
 
 FIRST_ELEMENT = Question(
@@ -94,12 +91,10 @@ def _ask(
     bsdf: mi.BSDF, values: Matrices, lobes: Lobes, random: Floats
 ) -> tuple[Floats, Floats, Integers]:
     """Values, and flux and types of samples, without polarisation."""
-    probe, n = Probe(bsdf, Condition(0.0, mode=values.asked.mode)), len(random)
-    probe.uv = mi.Point2f(*map(floats, values.uv.T))
-    value = probe.values(values.wo, values.wi)
-    bs, weight = probe.sample(*random_numbers(random), wi=vectors(lobes.weights.wi))
-    flux = spectral(weight, n) * numbers(bs.pdf, n)[:, None]
-    return value, flux, numbers(bs.sampled_type, n)
+    probe = MuellerProbe(bsdf, values.asked.mode)
+    drawn = probe.sample(lobes.weights.wi, random, values.uv)
+    value = probe.eval(values.wi, values.wo, values.uv)
+    return value.light, drawn.flux.light, drawn.type
 
 
 @contextlib.contextmanager
