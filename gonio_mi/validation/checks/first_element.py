@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 
 import mitsuba as mi
 import numpy as np
@@ -50,7 +49,7 @@ def check_first_element(
         evidence.undecided["first_element"] = f"{text}{variant} can load, too"
         return
     try:
-        with _variant(variant):
+        with mi.variant_context(variant):
             bsdf = load()
             plain = [_ask(bsdf, *own, random) for own in answers]
     except (SettingError, PluginFault, ImportError, RuntimeError) as error:
@@ -95,14 +94,3 @@ def _ask(
     drawn = probe.sample(lobes.weights.wi, random, values.uv)
     value = probe.eval(values.wi, values.wo, values.uv)
     return value.light, drawn.flux.light, drawn.type
-
-
-@contextlib.contextmanager
-def _variant(name: str) -> Iterator[None]:
-    """Set another variant of Mitsuba until the end of the block."""
-    before = mi.variant()
-    mi.set_variant(name)
-    try:
-        yield
-    finally:
-        mi.set_variant(before)
