@@ -11,14 +11,14 @@ from collections.abc import Mapping
 import mitsuba as mi
 
 from ..array_types import Floats
-from .checks.answers import Answers
+from .checks.answers import Answers, asked_again
 from .checks.components import alone, are_apart
 from .checks.weights import Weights
 from .counts import as_turned, guess_of_counts
 from .evidence import EFFECTS, INTERFACE, MODEL, NOISE, Evidence, Question
 from .factors import OF_PDF, OF_SAMPLED_PDF, explain, explain_weights, ratios_of
-from .mistakes import EVAL, PDF, SAMPLE, Guess, Mistake
-from .probe import Probe, spectral
+from .mistakes import PDF, SAMPLE, Guess, Mistake
+from .probe import Probe
 from .samples import beyond_rounding, unequal
 
 # Fraction of the share of the largest failure below which another is no symptom of it,
@@ -129,14 +129,8 @@ def _without_counts(evidence: Evidence, failed: Mapping[str, str]) -> Guess | No
 def _changed(evidence: Evidence) -> Guess | None:
     """What answers otherwise than where weights and ``eval`` still agreed."""
     first = evidence.whole[0]
-    probe, n = Probe(evidence.bsdf, first.condition), first.n
-    for function, now, before in (
-        (EVAL, probe.values(first.wo), first.eval),
-        (SAMPLE, spectral(probe.sample(*first.random)[1], n), first.weight),
-    ):
-        if beyond_rounding(unequal(now, before, 0.0) & first.usable):
-            return Answers.OF_CALLS(function)
-    return None
+    probe = Probe(evidence.bsdf, first.condition)
+    return next(map(Answers.OF_CALLS, asked_again(first, probe, exact=True)), None)
 
 
 def _density(evidence: Evidence, failed: Mapping[str, str]) -> Guess | None:

@@ -41,7 +41,7 @@ from .diagnosis import likely_mistake
 from .evidence import BIAS, MAX_P, NOISE, Evidence, Question
 from .maps import in_radiance_mode
 from .mistakes import Kind
-from .phase_functions import as_bsdf, examine_phase_function
+from .phase_functions import ASKED, as_bsdf, check_maps, check_symmetry
 from .polarised import examine_polarised
 from .probe import Probe, number_parameters
 from .questions import OF_MATRICES, OF_SURFACES, OF_VOLUMES
@@ -139,8 +139,6 @@ def validate(
                 if not isinstance(specimen, mi.Object):
                     load = lambda: _bsdf(specimen)[0]  # noqa: E731
                 n_asked = examine_polarised(evidence, effort, specimen, load)
-            elif evidence.of_volumes:
-                examine_phase_function(evidence, plan, effort)
             else:
                 _examine(evidence, plan, name, progress)
         except PluginFault as fault:
@@ -239,20 +237,48 @@ def _examine(evidence: Evidence, plan: Effort, name: str, progress: bool) -> Non
 
 def _steps(evidence: Evidence, plan: Effort) -> Iterator[float]:
     """Run all checks, those that explain most first; yield steps of `N_STEPS`."""
-    bsdf, seed = evidence.bsdf, evidence.seed
+    bsdf, seed, volumes = evidence.bsdf, evidence.seed, evidence.of_volumes
     n = bsdf.component_count()
     components, sides = range(n) if n > 1 else (), sides_of(bsdf)
+    conditions = ASKED if volumes else _conditions(bsdf, plan, sides, components)
+    for i, condition in enumerate(conditions):
+        _check_samples(evidence, condition, plan.checked, (seed, 1, i))
+        yield N_STEPS * SAMPLES_STEPS / len(conditions)
+    check_again(evidence, plan, sides)
+    evidence.ask("bsdf")
+    every = 1 if volumes else max(1, len(plan.angles) // 3)
+    for samples in evidence.samples[::every] if components or not volumes else ():
+        components_check.check_samples(evidence, samples)
+    if volumes:
+        evidence.ask("parameters")
+        check_maps(evidence, plan)
+        yield N_STEPS * (1 - SAMPLES_STEPS)
+        usual, brightest = ASKED[1], evidence.samples[1]
+    else:
+        _check_surface(evidence, sides)
+        evidence.ask("parameters")
+        yield from _check_maps(evidence, plan, sides, components)
+        usual, brightest = Condition(40.0, 25.0, sides[0]), _brightest(evidence)
+    parameters.check_changes(evidence, plan, sides)
+    gradients.check_samples(evidence, plan, brightest)
+    if plan is not Effort.named("quick") and not volumes:
+        cost.check_time(evidence, usual)  # it takes a second
+    check_memory(evidence)
+    cost.check_recorded(evidence, usual)
+
+
+def _conditions(
+    bsdf: mi.BSDF, plan: Effort, sides: Sequence[str], components: Sequence[int]
+) -> Sequence[Condition]:
+    """Conditions under which samples of a BSDF are checked one by one."""
     conditions = list(plan.checks(sides, components))
     if bsdf.needs_differentials():
         conditions += [replace(conditions[1], differentials=True)]
-    radiance = [replace(one, mode="radiance") for one in plan.radiance(sides)]
-    for i, condition in enumerate([*conditions, *radiance]):
-        _check_samples(evidence, condition, plan.checked, (seed, 1, i))
-        yield N_STEPS * SAMPLES_STEPS / len([*conditions, *radiance])
-    check_again(evidence, plan, sides)
-    evidence.ask("bsdf")
-    for samples in evidence.samples[:: max(1, len(plan.angles) // 3)]:
-        components_check.check_samples(evidence, samples)
+    return conditions + [replace(x, mode="radiance") for x in plan.radiance(sides)]
+
+
+def _check_surface(evidence: Evidence, sides: Sequence[str]) -> None:
+    """Check what phase functions have not: a normal, a horizon, cosines."""
     for samples in evidence.whole:
         if samples.condition.mode == "importance":
             continuity.check_normal(evidence, samples)
@@ -260,15 +286,6 @@ def _steps(evidence: Evidence, plan: Effort) -> Iterator[float]:
         continuity.check_cutoffs(evidence, Condition(45.0, 25.0, side))
     answers.check_albedo(evidence)
     explain_reciprocity(evidence)
-    evidence.ask("parameters")
-    yield from _check_maps(evidence, plan, sides, components)
-    parameters.check_changes(evidence, plan, sides)
-    gradients.check_samples(evidence, plan, _brightest(evidence))
-    if plan is not Effort.named("quick"):
-        # it takes a second
-        cost.check_time(evidence, Condition(40.0, 25.0, sides[0]))
-    check_memory(evidence)
-    cost.check_recorded(evidence, Condition(40.0, 25.0, sides[0]))
 
 
 def _check_samples(
@@ -279,7 +296,11 @@ def _check_samples(
     evidence.samples.append(samples)
     check_identities(evidence, samples)
     probe = Probe(evidence.bsdf, condition)
-    eval_pdf.check_lattice(evidence, probe, *answers.check_lattice(evidence, probe))
+    lattice = answers.check_lattice(evidence, probe)
+    if evidence.of_volumes:
+        check_symmetry(evidence, samples)
+        return
+    eval_pdf.check_lattice(evidence, probe, *lattice)
     ways = reciprocity.both_ways(samples)
     if ways is not None:
         ways = reciprocity.dispersed(directions.check_eta(evidence, ways))

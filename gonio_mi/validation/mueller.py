@@ -1,4 +1,4 @@
-"""Answers of a BSDF in polarised variants: Mueller matrices and their frames.
+"""Answers of a BSDF as Mueller matrices, and their frames.
 
 In polarised variants the answers of ``eval`` and the weights of ``sample`` are Mueller
 matrices in Mitsuba's frames of the beams, :func:`~gonio_mi.collector.stokes.
@@ -64,14 +64,12 @@ class MuellerProbe:
 
     def eval(self, wi: Floats, wo: Floats, uv: Numbers = MIDDLE) -> Matrices:
         """Matrices of ``eval`` for directions of shape (..., 3)."""
-        uv = self._placed(wi, uv)
-        answer = self._probe.eval(vectors(wo), wi=vectors(wi))
+        answer = self._placed(wi, uv).eval(vectors(wo))
         return self._matrices(EVAL, wi, wo, uv, answer)
 
     def pdf(self, wi: Floats, wo: Floats, uv: Numbers = MIDDLE) -> Floats:
         """Densities for directions of shape (n, 3); shape (n,)."""
-        self._placed(wi, uv)
-        return self._probe.densities(wo, wi)
+        return self._placed(wi, uv).densities(wo)
 
     def eval_with_slack(
         self, wi: Floats, wo: Floats, uv: Numbers = MIDDLE
@@ -91,18 +89,14 @@ class MuellerProbe:
         self, wi: Floats, wo: Floats, uv: Numbers = MIDDLE
     ) -> tuple[Matrices, Floats]:
         """Both answers of ``eval_pdf`` for directions of shape (n, 3)."""
-        n = len(wi)
-        uv = self._placed(wi, uv)
-        self._probe.wi = vectors(wi)
-        value, pdf = self._probe.eval_pdf(vectors(wo))
-        densities = numbers(pdf, n).astype(float)
-        return self._matrices(Function.EVAL_PDF, wi, wo, uv, value), densities
+        value, pdf = self._placed(wi, uv).eval_pdf(vectors(wo))
+        values = self._matrices(Function.EVAL_PDF, wi, wo, uv, value)
+        return values, numbers(pdf, len(wi)).astype(float)
 
     def sample(self, wi: Floats, random: Floats, uv: Numbers = MIDDLE) -> Lobes:
         """Answers of ``sample`` for directions and random numbers of (..., 3)."""
         shape, n = wi.shape[:-1], wi[..., 0].size
-        uv = self._placed(wi, uv)
-        bs, weight = self._probe.sample(*random_numbers(random), wi=vectors(wi))
+        bs, weight = self._placed(wi, uv).sample(*random_numbers(random))
         wo = spectral(bs.wo, n).reshape(wi.shape)
         return Lobes(
             self._matrices(SAMPLE, wi, wo, uv, weight),
@@ -110,19 +104,20 @@ class MuellerProbe:
             numbers(bs.sampled_type, n).astype(np.int64).reshape(shape),
         )
 
-    def _placed(self, wi: Floats, uv: Numbers) -> Floats:
-        """Texture coordinates of each direction, at which the BSDF is asked next."""
-        self.n_asked += wi[..., 0].size
-        uv = np.broadcast_to(uv, (*wi.shape[:-1], 2))
-        self._probe.uv = mi.Point2f(*map(floats, uv.reshape(-1, 2).T))
-        spots = np.arange(wi[..., 0].size) % wi.shape[-2] % N_SPOTS
-        self._probe.spots = mi.UInt32(spots)
-        return uv
+    def _placed(self, wi: Floats, uv: Numbers) -> Probe:
+        """Probe that asks from each direction, at its texture coordinates."""
+        n, probe = wi[..., 0].size, self._probe
+        self.n_asked += n
+        uv = np.broadcast_to(uv, (*wi.shape[:-1], 2)).reshape(-1, 2)
+        probe.wi, probe.uv = vectors(wi), mi.Point2f(*map(floats, uv.T))
+        probe.spots = mi.UInt32(np.arange(n) % wi.shape[-2] % N_SPOTS)
+        return probe
 
     def _matrices(
-        self, function: Function, wi: Floats, wo: Floats, uv: Floats, answer: Any
+        self, function: Function, wi: Floats, wo: Floats, uv: Numbers, answer: Any
     ) -> Matrices:
-        raw = elements(answer, uv.shape[:-1])
+        shape = wi.shape[:-1]
+        uv, raw = np.broadcast_to(uv, (*shape, 2)), elements(answer, shape)
         return Matrices(function, self.asked, wi, wo, uv, raw)
 
 
@@ -292,9 +287,13 @@ class Lobes:
 
 
 def elements(value: mi.Spectrum, shape: tuple[int, ...]) -> Floats:
-    """Mueller-valued spectra for directions of a shape: (*shape, channels, 4, 4)."""
-    array = np.array(value, dtype=float)
-    array = np.moveaxis(array.reshape(4, 4, array.shape[2], -1), (3, 2), (0, 1))
+    """Mueller-valued spectra for directions of a shape: (*shape, channels, 4, 4).
+
+    In unpolarised variants of their first element: (*shape, channels, 1, 1).
+    """
+    array, size = np.array(value, dtype=float), 4 if mi.is_polarized else 1
+    array = array.reshape(size, size, array.shape[-2], -1)
+    array = np.moveaxis(array, (3, 2), (0, 1))
     array = np.broadcast_to(array, (math.prod(shape), *array.shape[1:]))
     return array.reshape(*shape, *array.shape[1:])
 

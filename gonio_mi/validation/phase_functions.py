@@ -11,17 +11,16 @@ import numpy as np
 
 from ..array_types import Floats
 from ..transport.media import N_RINGED, ask_phase_function
-from .checks import answers, components, cost, gradients, parameters, sampling
-from .checks.consistency import check_again, check_identities, check_memory
+from .checks import sampling
 from .checks.energy import ENERGY, Energy
 from .checks.reciprocity import RECIPROCITY, ratio_text
 from .checks.sampling import SAMPLING
 from .checks.weights import WEIGHTS
-from .conditions import Condition, Effort, sides_of
+from .conditions import EFFORTS, Condition, Effort
 from .evidence import Evidence
 from .mistakes import EVAL, SAMPLE, Function, Kind, Mistake
 from .probe import Probe, numbers, vectors
-from .samples import Samples, beyond_rounding, samples_of, unequal
+from .samples import Samples, beyond_rounding, unequal
 
 
 class OfVolumes(Mistake):
@@ -42,8 +41,8 @@ ASKED = (
     Condition(50.0, 305.0, "back", (0.15, 0.7), turned=True),
 )
 
-# Those of maps at effort quick, and at others.
-MAPPED = {"quick": ASKED[1:2], "normal": ASKED[:3], "thorough": ASKED}
+# Those of maps, by effort.
+MAPPED = dict(zip(EFFORTS.values(), (ASKED[1:2], ASKED[:3], ASKED)))
 
 
 def as_bsdf(phase: mi.PhaseFunction) -> mi.BSDF:
@@ -113,32 +112,9 @@ def as_bsdf(phase: mi.PhaseFunction) -> mi.BSDF:
     return Scatterer(mi.Properties("scatterer"))
 
 
-def examine_phase_function(evidence: Evidence, plan: Effort, effort: str) -> None:
-    """Run all checks of a phase function that :func:`as_bsdf` wraps, simplest first."""
-    bsdf, seed = evidence.bsdf, evidence.seed
-    for i, condition in enumerate(ASKED):
-        samples = samples_of(bsdf, condition, plan.checked, (seed, 1, i))
-        evidence.samples.append(samples)
-        check_identities(evidence, samples)
-        answers.check_lattice(evidence, Probe(bsdf, condition))
-        _check_reciprocity(evidence, samples)
-        if bsdf.component_count() > 1:
-            components.check_samples(evidence, samples)
-    sides = sides_of(bsdf)
-    check_again(evidence, plan, sides)
-    evidence.ask("bsdf")
-    evidence.ask("parameters")
-    _check_maps(evidence, plan, MAPPED[effort])
-    parameters.check_changes(evidence, plan, sides)
-    gradients.check_samples(evidence, plan, evidence.samples[1])
-    check_memory(evidence)
-    cost.check_recorded(evidence, ASKED[1])
-
-
-def _check_maps(
-    evidence: Evidence, plan: Effort, conditions: tuple[Condition, ...]
-) -> None:
+def check_maps(evidence: Evidence, plan: Effort) -> None:
     """Statistics of samples by patch, in both modes if they differ."""
+    conditions = MAPPED[plan]
     if evidence.in_radiance_mode:
         conditions += tuple(replace(one, mode="radiance") for one in conditions)
     for i, condition in enumerate(conditions):
@@ -198,7 +174,7 @@ def _check_rings(evidence: Evidence) -> None:
         evidence.breach(ENERGY, guess, found=text, size=size)
 
 
-def _check_reciprocity(evidence: Evidence, samples: Samples) -> None:
+def check_symmetry(evidence: Evidence, samples: Samples) -> None:
     """Check symmetry, with the projected area of microflakes (Jakob et al. 2010)."""
     usable = samples.usable & np.isfinite(samples.reverse).all(axis=1)
     if not usable.any():

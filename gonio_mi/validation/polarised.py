@@ -97,15 +97,15 @@ class _Examination:
         self.wi = lit_directions(self.rng, n, self.sides)
         self.random = self.rng.random((n, 3))
         self.uv = np.resize(PLACES, (n, 2))
-        self.lobes = self.importance.sample(self.wi, self.random, self.uv)
         # where samples are discrete any other direction does
         self.other = lit_directions(self.rng, n, self.sides[::-1])
-        pairs = self.wi, self._directions(self.lobes), self.uv
-        self.values, self.slack = self.importance.eval_with_slack(*pairs)
+        self.lobes, self.values, self.slack = self._asked(self.importance, self.uv)
 
-    def _directions(self, lobes: Lobes) -> Floats:
-        """Directions of samples that have a density, and others."""
-        return np.where(lobes.smooth[:, None], lobes.weights.wo, self.other)
+    def _asked(self, probe: MuellerProbe, uv: Floats) -> tuple[Lobes, Matrices, Floats]:
+        """Samples, and matrices of their directions or of others, with slack."""
+        lobes = probe.sample(self.wi, self.random, uv)
+        wo = np.where(lobes.smooth[:, None], lobes.weights.wo, self.other)
+        return lobes, *probe.eval_with_slack(self.wi, wo, uv)
 
     def check_pairs(self, load: Callable[[], mi.BSDF] | None) -> None:
         """Check single pairs of directions."""
@@ -133,9 +133,8 @@ class _Examination:
             matrices.check_adjoint(evidence, other_mode, back, both)
         if lobes.delta.any():
             self._check_returns()
-        seen = self.radiance.sample(wi, self.random, uv)
+        seen, radiance, slack = self._asked(self.radiance, uv)
         matrices.check_finite(evidence, seen.weights)
-        radiance, slack = self.radiance.eval_with_slack(wi, self._directions(seen), uv)
         # where importance mode contradicts itself, nothing is due in radiance mode
         if not any(map(evidence.of, matrices.AGREEMENTS)):
             self._check_agreement(self.radiance, seen, radiance, slack)
@@ -179,9 +178,7 @@ class _Examination:
             probe = MuellerProbe(self.evidence.bsdf, fields=fields)
             uv = surroundings()["uv"][np.arange(len(self.wi)) % N_SPOTS]
             uv = uv if "uv" in fields else self.uv
-            lobes = probe.sample(self.wi, self.random, uv)
-            values = probe.eval_with_slack(self.wi, self._directions(lobes), uv)
-            self._check_agreement(probe, lobes, *values)
+            self._check_agreement(probe, *self._asked(probe, uv))
             found = breaches[n:]
             if bool(found) != (fields is FIELDS):
                 break  # nothing, or one field

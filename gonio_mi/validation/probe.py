@@ -178,6 +178,10 @@ class Probe:
         parts = checked_parts("eval_pdf", answer, 2)
         return self._pair(("eval_pdf", "eval_pdf"), parts, dr.width(wo, active))
 
+    def shared(self, functions: str, wo: mi.Vector3f) -> Any:
+        """Answer of the last of some functions, which get the same arguments."""
+        return self._call(functions, wo)
+
     def eval_pdf_sample(
         self, wo: mi.Vector3f, sample1: mi.Float, sample2: mi.Point2f
     ) -> tuple[mi.Spectrum, mi.Float, Sample]:
@@ -231,9 +235,12 @@ class Probe:
         # a plugin may change its copies in place: narrow its mask, or flip a direction
         copies = [type(one)(one) for one in (*arguments, active)]
         with as_plugin_fault(function):
-            method, si = getattr(self.bsdf, function), self.interaction(wi, spots)
+            si, answer = self.interaction(wi, spots), None
             si.uv, si.wavelengths = uv, nm
-            return method(ctx or self.condition.context, si, *copies)
+            for name in function.split():
+                method = getattr(self.bsdf, name)
+                answer = method(ctx or self.condition.context, si, *copies)
+            return answer
 
     def _inputs(self, n: int) -> tuple[Any, ...]:
         """What `n` rays are asked with but for directions wo, in memory.

@@ -91,6 +91,9 @@ ANSWERS = {
 }
 SAMPLED = {"weight": "weight", "pdf": "bs.pdf", "direction": "dr.abs(bs.wo)"}
 
+# Random numbers of a scalar variant, of one sample after the other.
+EACH = "zip(*(z.T.tolist() for z in x))"
+
 # What functions follow a change of a parameter, if not all.
 STALE = {"sample": ("bs.pdf", "pdf(bs.wo)"), "pdf": ("pdf(bs.wo)", "bs.pdf")}
 PRODUCT = ("np.atleast_2d(weight) * pdf(bs.wo)", "value(bs.wo)")
@@ -162,8 +165,11 @@ def script(verdict: Verdict, one: Property) -> str:
     given = parts("matrix" if matrices else script_kind(one.of_volumes))
     words = _place(verdict, one, condition) | words
     words["COUNT"] = "2**20" if "standard errors" in given[part] else "2**16"
-    words |= {"COUNT": "27"} if part in ("ENDS", "LENGTH_AT_AN_END") else {}
-    head = _setting(verdict, condition, given) + given["random"] + given["sample"]
+    head = _setting(verdict, condition, given)
+    if part in ("ENDS", "LENGTH_AT_AN_END"):  # which draw their own samples
+        words["COUNT"] = "27"
+    else:
+        head += given["random"] + given["sample"]
     if kind is MatrixKind.FIRST_ELEMENT:
         both = mi.variant(), unpolarised(mi.variant())
         head = _filled(head + given["first element"], words | {"VARIANT": "variant"})
@@ -188,7 +194,7 @@ def in_two_variants(variant: str, source: str, of_volumes: bool) -> str:
         given["variants"] = re.sub(r"(?=    value =)", colours, given["variants"])
     llvm = variant.replace("scalar", "llvm_ad")
     words = {
-        "VARIANTS": f"({llvm!r}, [x], 0), ({variant!r}, x.T.tolist(), None)",
+        "VARIANTS": f"({llvm!r}, [x], 0), ({variant!r}, {EACH}, None)",
         "AXES": "mei.wi" if of_volumes else "[0, 0, 1]",
         "SOURCE": source,
         "NM": str(list(WAVELENGTHS_NM)),

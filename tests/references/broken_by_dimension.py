@@ -633,6 +633,14 @@ class PhaseByPlace:
         return wo, mi.Spectrum(1.0), self.eval_pdf(ctx, mei, wo, active)[1]
 
 
+@broken("state", "eval", "MIS weights off by 1 / cos(theta_o)", properties="eval_pdf")
+class EvalMovesWo:
+    def eval(self, ctx, si, wo, active=True):
+        value = super().eval(ctx, si, wo, active)
+        wo.z = dr.select(wo.z > 0, 1.0, -1.0)
+        return value
+
+
 class Polarised:
     """Rough conductor with Mueller matrices: right."""
 

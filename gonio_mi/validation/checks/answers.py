@@ -241,8 +241,9 @@ def asked_again(
     In the order of the numbers `i`, of as many as there are; the last tell. Without
     slack if they are to be `exact`, for a slack has what earlier calls changed.
     """
-    times = 0 if exact else 1
-    slacks = times * samples.eval_slack, times * samples.pdf_slack[:, None]
+    slacks = samples.eval_slack, samples.pdf_slack
+    if exact:
+        slacks = np.zeros_like(samples.eval), np.zeros_like(samples.pdf)
     if i is None:
         i = dr.arange(mi.UInt32, samples.n)
     n, kept = dr.width(i), min(dr.width(i), samples.n)
@@ -263,9 +264,9 @@ def asked_again(
     lit, usable = samples.given[own], samples.usable[own]
     differs = {
         EVAL: unequal(end(probe.eval(wo, wi=wi)), samples.eval[own], slacks[0][own]),
-        PDF: unequal(end(probe.pdf(wo, wi=wi)), samples.pdf[own, None], slacks[1][own]),
+        PDF: unequal(end(probe.pdf(wo, wi=wi))[:, 0], samples.pdf[own], slacks[1][own]),
         SAMPLE: unequal(end(weight), samples.weight[own], 0.0) & lit
-        | unequal(end(bs.pdf), samples.sampled_pdf[own, None], slacks[1][own]) & usable
+        | unequal(end(bs.pdf)[:, 0], samples.sampled_pdf[own], slacks[1][own]) & usable
         | _displaced(end(bs.wo), samples.wo[own]) & usable,
     }
     found = {}

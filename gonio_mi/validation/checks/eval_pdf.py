@@ -3,10 +3,10 @@
 import mitsuba as mi
 import numpy as np
 
-from ...array_types import Floats
+from ...array_types import Flags, Floats
 from ...single_precision import BSDF_ROUNDING
 from ..evidence import BIAS, INTERFACE, SAME, Evidence, Question
-from ..mistakes import Function, Kind, Mistake
+from ..mistakes import Function, Guess, Kind, Mistake
 from ..probe import Probe, numbers, spectral, vectors
 from ..samples import Samples, beyond_rounding, ratio_of, unequal
 from .answers import lattice
@@ -30,6 +30,7 @@ EVAL_PDF_SAMPLE = Question(
 class JointFunctions(Mistake):
     """How a joint function contradicts the separate ones."""
 
+    CHANGED = "{who} changes its arguments in place, and `eval_pdf` passes them on"
     OTHER_ANSWERS = "{who} answers otherwise than `{alone}`"
     OTHER_SAMPLES = "{who} draws other samples than `sample`"
 
@@ -77,7 +78,7 @@ def check_lattice(
         if beyond_rounding(wrong) and not chance:
             light = float(4 * np.pi * off.sum(axis=1)[wrong].sum() / n)
             share, kind = float(wrong.mean()), Kind.EVAL_PDF_ANYWHERE
-            guess = JointFunctions.OTHER_ANSWERS(Function.EVAL_PDF, alone=alone)
+            guess = _guess(probe, Function.EVAL_PDF, alone, wo, joint, wrong)
             text = f"{light:.3g} over {share:.3g} of all directions"
             how = {"off": min(light, 1.0), "size": share, "kind": kind, "about": alone}
             text = f"integral of the difference {text}"
@@ -97,12 +98,33 @@ def _check_joint(
     ):
         if alone == "eval" and evidence.by_chance(joint, due, samples.wo):
             continue
-        function = Function.named(question.name)
+        wrong = unequal(joint, due, slack) & usable
+        if not beyond_rounding(wrong):
+            continue
+        probe = Probe(evidence.bsdf, samples.condition)
+        asked = Function.named(question.name), alone, samples.wo, joint, wrong
         evidence.breach_of_ratio(
             question,
-            JointFunctions.OTHER_ANSWERS(function, alone=alone),
-            *(samples, unequal(joint, due, slack) & usable),
-            *(ratio_of(joint, due), f"its value over `{alone}`"),
+            _guess(probe, *asked),
+            *(samples, wrong, ratio_of(joint, due), f"its value over `{alone}`"),
             effect=effect,
             about=alone,
         )
+
+
+def _guess(
+    probe: Probe,
+    function: Function,
+    alone: str,
+    wo: Floats,
+    joint: Floats,
+    wrong: Flags,
+) -> Guess:
+    """What is wrong with a joint function, or with arguments that it passes on."""
+    first = "eval" if alone == "pdf" else "pdf"
+    answer = probe.shared(f"{first} {alone}", vectors(wo))
+    n = len(wo)
+    passed = numbers(answer, n)[:, None] if alone == "pdf" else spectral(answer, n)
+    if beyond_rounding(unequal(passed, joint, 0.0) & wrong):
+        return JointFunctions.OTHER_ANSWERS(function, alone=alone)
+    return JointFunctions.CHANGED(Function.named(first))

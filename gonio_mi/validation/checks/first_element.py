@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 
 import mitsuba as mi
 import numpy as np
 
 from ...array_types import Flags, Floats, Integers
 from ...errors import SettingError
-from ...mitsuba_compat import floats
 from ...transport.bsdf_trial import PluginFault
 from ...transport.variants import unpolarised
-from ..conditions import Condition
 from ..evidence import BIAS, POLARISING, SAME, Evidence, Question
 from ..mistakes import Mistake
-from ..mueller import Lobes, Matrices
-from ..probe import Probe, numbers, random_numbers, spectral, vectors
+from ..mueller import Lobes, Matrices, MuellerProbe
 from ..samples import beyond_rounding
 
 FIRST_ELEMENT = Question(
@@ -53,7 +49,7 @@ def check_first_element(
         evidence.undecided["first_element"] = f"{text}{variant} can load, too"
         return
     try:
-        with _variant(variant):
+        with mi.variant_context(variant):
             bsdf = load()
             plain = [_ask(bsdf, *own, random) for own in answers]
     except (SettingError, PluginFault, ImportError, RuntimeError) as error:
@@ -94,20 +90,7 @@ def _ask(
     bsdf: mi.BSDF, values: Matrices, lobes: Lobes, random: Floats
 ) -> tuple[Floats, Floats, Integers]:
     """Values, and flux and types of samples, without polarisation."""
-    probe, n = Probe(bsdf, Condition(0.0, mode=values.asked.mode)), len(random)
-    probe.uv = mi.Point2f(*map(floats, values.uv.T))
-    value = probe.values(values.wo, values.wi)
-    bs, weight = probe.sample(*random_numbers(random), wi=vectors(lobes.weights.wi))
-    flux = spectral(weight, n) * numbers(bs.pdf, n)[:, None]
-    return value, flux, numbers(bs.sampled_type, n)
-
-
-@contextlib.contextmanager
-def _variant(name: str) -> Iterator[None]:
-    """Set another variant of Mitsuba until the end of the block."""
-    before = mi.variant()
-    mi.set_variant(name)
-    try:
-        yield
-    finally:
-        mi.set_variant(before)
+    probe = MuellerProbe(bsdf, values.asked.mode)
+    drawn = probe.sample(lobes.weights.wi, random, values.uv)
+    value = probe.eval(values.wi, values.wo, values.uv)
+    return value.light, drawn.flux.light, drawn.type

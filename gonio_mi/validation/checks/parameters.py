@@ -20,9 +20,6 @@ from ..probe import (
     Probe,
     changed,
     number_parameters,
-    numbers,
-    spectral,
-    uniform,
     update,
 )
 from ..samples import Samples, beyond_rounding, samples_of, unequal
@@ -79,23 +76,24 @@ def check_changes(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> Non
     values = _changeable(evidence.bsdf)
     if not values:
         return
-    answers_of = _answers_of(evidence, sides)
+    sweep = Sweep(side=sides[0], both=len(sides) > 1, n=N_UPDATED)
+    asked = evidence.bsdf, sweep, sweep.n, (evidence.seed, 5), False
     try:
         # numbers of another kind than at first may round otherwise
         update(evidence.bsdf, values)
-        first = answers_of()
-        by_chance = _differing(first, answers_of())
+        first = samples_of(*asked)
+        by_chance = _differing(evidence, first)
         if may_update_often(evidence, plan):
-            _check_updates(evidence, values, answers_of, by_chance)
+            _check_updates(evidence, values, asked, by_chance)
         _check_values(evidence, plan, sides, values)
-        own = _differing(first, answers_of(), by_chance)
+        own = _differing(evidence, first, by_chance)
     except PluginFault as fault:
         evidence.breach_of_fault(PARAMETERS, fault)
         return
     if own and not evidence.of("parameters"):
         guess = _blamed(own, Parameters.REMEMBERED)
         text = "another answer after parameters were changed and changed back"
-        how: dict[str, Any] = {"kind": Kind.UPDATE, "about": own[0]}
+        how: dict[str, Any] = {"kind": Kind.UPDATE, "about": str(own[0])}
         evidence.breach(PARAMETERS, guess, found=text, size=3.0, **how)
 
 
@@ -177,40 +175,19 @@ def may_update_often(evidence: Evidence, plan: Effort) -> bool:
     return in_python or plan != Effort.named("quick")
 
 
-Answers = Callable[[], dict[str, Floats]]
-
-
-def _answers_of(evidence: Evidence, sides: Sequence[str]) -> Answers:
-    """Function that asks all functions of the same rays; shape (n, ...) of each."""
-    sweep = Sweep(side=sides[0], both=len(sides) > 1, n=N_UPDATED)
-    probe, random = Probe(evidence.bsdf, sweep), uniform(sweep.n, (evidence.seed, 5))
-    wo = spectral(probe.sample(*random)[0].wo, sweep.n)
-
-    def answers_of() -> dict[str, Floats]:
-        bs, weight = probe.sample(*random)
-        pdf, drawn = numbers(bs.pdf, sweep.n), spectral(bs.wo, sweep.n)
-        found = np.column_stack([pdf, drawn, spectral(weight, sweep.n)])
-        found[~found[:, 4:].any(axis=1)] = 0  # no sample
-        return {"eval": probe.values(wo), "pdf": probe.densities(wo), "sample": found}
-
-    return answers_of
-
-
 def _differing(
-    before: dict[str, Floats], after: dict[str, Floats], but: Sequence[str] = ()
-) -> list[str]:
-    """Functions whose answers differ, `but` for some."""
-    return [
-        name
-        for name, answer in before.items()
-        if beyond_rounding(unequal(answer, after[name], 0.0)) and name not in but
-    ]
+    evidence: Evidence, before: Samples, but: Sequence[Function] = ()
+) -> list[Function]:
+    """Functions that answer otherwise than before, `but` for some."""
+    probe = Probe(evidence.bsdf, before.condition)
+    own = answers.asked_again(before, probe, exact=True)
+    return [one for one in own if one not in but]
 
 
-def _blamed(own: Sequence[str], mistake: Parameters, **fields: str) -> Guess:
+def _blamed(own: Sequence[Function], mistake: Parameters, **fields: str) -> Guess:
     """A mistake of an update, or of the one function that changes by it."""
-    alone = Function.named(own[0]) if len(own) == 1 else Function(0)
-    fields["those"] = " and ".join(f"`{one}`" for one in own)
+    alone = own[0] if len(own) == 1 else Function(0)
+    fields["those"] = " and ".join(one.quoted for one in own)
     fields["does"] = "does" if len(own) == 1 else "do"
     return mistake(alone | Function.PARAMETERS_CHANGED, **fields)
 
@@ -218,32 +195,33 @@ def _blamed(own: Sequence[str], mistake: Parameters, **fields: str) -> Guess:
 def _check_updates(
     evidence: Evidence,
     values: dict[str, Any],
-    answers_of: Answers,
-    by_chance: Sequence[str],
+    asked: tuple[Any, ...],
+    by_chance: Sequence[Function],
 ) -> None:
     """Check that an update of all parameters changes nothing that needs no change.
 
     Neither at first, nor after one parameter got another value, in its range or not.
-    Functions that answer `by_chance` are others anyway.
+    What is `asked` are arguments of :func:`samples_of`; functions that answer
+    `by_chance` are others anyway.
     """
     names = evenly_chosen(values) if len(values) > 1 else ()
     for name in ("", *names):
         others = {name: _other_value(values[name])} if name else {}
         try:
             with changed(evidence.bsdf, others):
-                before = answers_of()
+                before = samples_of(*asked)
                 update(evidence.bsdf, values)
-                own = _differing(before, answers_of(), by_chance)
+                own = _differing(evidence, before, by_chance)
         except PluginFault:
             if name:
                 continue  # a value that is refused
             raise
         if own:
             guess = _blamed(own, Parameters.UPDATE)
-            how: dict[str, Any] = {"kind": Kind.UPDATE, "about": own[0]}
+            how: dict[str, Any] = {"kind": Kind.UPDATE, "about": str(own[0])}
             if name:
                 guess = _blamed(own, Parameters.STALE_ALONE, name=name)
-                guess = replace(guess, functions=Function.named(own[0]))
+                guess = replace(guess, functions=own[0])
                 how = {"about": name}
             text = "another answer after an update of all parameters"
             evidence.breach(PARAMETERS, guess, found=text, size=3.0, **how)

@@ -53,7 +53,7 @@ def bsdfs() -> Iterator[list[dict[str, Any]]]:
         sets |= {
             "polarizer": [{"theta": x} for x in (0.0, 20.0, 90.0)],
             "retarder": [{"theta": x} for x in (0.0, 20.0, 90.0)],
-            "circular": [{}, {"left_handed": True}, {"theta": 20.0}],
+            "circular": [{}, {"left_handed": True}, {"transmittance": 0.5}],
         }
     if not mi.is_monochromatic:
         sets["hair"].append({})

@@ -18,6 +18,7 @@ from gonio_mi.validation.versions.conformance import (
     questions,
     save_table,
 )
+from gonio_mi.validation.versions.stock import bsdfs, phase_functions
 from gonio_mi.validation.versions.worker import all_said, said
 
 
@@ -44,16 +45,44 @@ def few(monkeypatch):
     monkeypatch.setattr(conformance, "_materials", dict)
 
 
-@pytest.mark.parametrize("variant", ["llvm_ad_mono", "scalar_rgb"])
+POLARISED = "llvm_ad_mono_polarized", "llvm_ad_spectral_polarized"
+VARIANTS = "llvm_ad_mono", *POLARISED, "scalar_rgb"
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
 def test_every_script_is_short_and_plain(variant):
+    if variant not in mi.variants():
+        pytest.skip(f"this Mitsuba has no {variant}")
     mi.set_variant(variant)  # the next test sets its own
     found = list(questions(variant))
     # BSDFs and phase functions; a file of `measured` has colours
-    assert len({one.plugin for one in found}) == 18 + mi.is_rgb + 6
+    of_colours, of_polarisation = not mi.is_monochromatic, 3 * mi.is_polarized
+    n_plugins = 18 + of_colours + of_polarisation + 6
+    assert len({one.plugin for one in found}) == n_plugins
+    for one in (one for ones in (*bsdfs(), *phase_functions()) for one in ones):
+        mi.load_dict(one)  # which raises for a parameter that it does not have
     for one in found:
         assert len(code_of(one.script)) <= 20
         assert "gonio" not in one.script
         assert "dr.opaque(" not in one.script  # Dr.Jit 1.3 makes no vectors by it
+
+
+@pytest.mark.parametrize("variant", POLARISED)
+@pytest.mark.usefixtures("polarised")
+def test_every_script_answers_in_a_polarised_variant(variant, monkeypatch):
+    """Those of phase functions, of which one has a defect, and of a right BSDF."""
+    if variant not in mi.variants():
+        pytest.skip(f"this Mitsuba has no {variant}")
+    mi.set_variant(variant)
+    grey = [{"type": "diffuse"}]
+    monkeypatch.setattr(conformance, "bsdfs", lambda: iter([grey]))
+    monkeypatch.setattr(conformance, "_measured", list)
+    kept = {"sggx": 2}  # a sphere is no defect
+    asked = [x for x in questions(variant) if x.number == kept.get(x.plugin, 1)]
+    told = [(one, *said(one.script, LIMITS)) for one in asked]
+    assert not [line for _, line, _ in told if line.startswith("raised")]
+    wrong = {(one.plugin, one.name.partition(" ")[0]) for one, _, far in told if far}
+    assert wrong == {("sggx", "sampling"), ("sggx", "weights")}
 
 
 @pytest.mark.usefixtures("few")
