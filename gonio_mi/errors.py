@@ -83,7 +83,9 @@ def shown(value: object, longest: int = MAX_VALUE) -> str:
 def no_file(path: str | os.PathLike[str]) -> str:
     """What every command and plugin says of a file that is not there."""
     name = printable(os.fspath(path))
-    return f"there is no file {name}{', but a folder' * os.path.isdir(path)}"
+    if os.path.isdir(path):
+        return f"{name} is a folder, not a file"
+    return f"there is no file {name}"
 
 
 def check_regular(path: str | os.PathLike[str]) -> None:

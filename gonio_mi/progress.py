@@ -15,8 +15,8 @@ from .errors import abridged, warn
 
 T = TypeVar("T")
 
-# Seconds between two lines.
-PAUSE = 30.0
+# Seconds between two lines, and the thread of Python's that keeps to them.
+PAUSE, WATCH = 30.0, "gonio_mi progress"
 
 # Seconds of further measuring that are announced, and those that tell the speed.
 MIN_ANNOUNCED, TRIAL = 600.0, 10.0
@@ -46,7 +46,7 @@ def bar(
         how["desc"] = abridged(said, max(columns - COUNTS, COUNTS))
         shape = "{desc}: |{bar}| {n_fmt}/{total_fmt}, {remaining} left"
         how.setdefault("bar_format", shape)
-    return _Bar(leave=False, **how)
+    return _Bar(leave=False, miniters=1, **how)
 
 
 def note(text: str) -> None:
@@ -107,6 +107,8 @@ class Announcement:
 class _Bar(tqdm):
     """Progress bar whose context is its function to report."""
 
+    monitor_interval = 0  # no thread of tqdm's own
+
     def __enter__(self) -> Callable[[float], Any]:
         super().__enter__()
         return self.update
@@ -128,7 +130,6 @@ class _Lines(_Bar):
     """
 
     written = alive = -PAUSE
-    monitor_interval = 0  # no thread of tqdm's own
 
     def __init__(self, **how: Any) -> None:
         self._ended = threading.Event()
@@ -145,7 +146,7 @@ class _Lines(_Bar):
         super().__init__(**how | own)
 
     def __enter__(self) -> Callable[[float], Any]:
-        threading.Thread(target=self._watch, daemon=True).start()
+        threading.Thread(target=self._watch, name=WATCH, daemon=True).start()
         return super().__enter__()
 
     def _watch(self) -> None:

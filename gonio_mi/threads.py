@@ -6,6 +6,8 @@ from collections.abc import Iterator
 
 import drjit as dr
 
+from .progress import WATCH
+
 # Dr.Jit records side effects, such as the sums of a tally, in one state for all
 # threads: one at a time records and launches kernels, or changes what they depend on.
 drjit_lock = threading.RLock()
@@ -23,8 +25,8 @@ def thread_count(n: int | None) -> Iterator[None]:
     """
     with drjit_lock:
         before = dr.thread_count()
-        dr.set_thread_count(n or before)
         try:
+            dr.set_thread_count(n or before)
             yield
         finally:
             dr.set_thread_count(before)
@@ -36,7 +38,7 @@ def park_threads() -> None:
     Idle ones spin for 20 ms after a kernel; new ones sleep until there is work, and are
     made in a twentieth of a millisecond.
     """
-    if threading.active_count() == 1:
+    if sum(one.name != WATCH for one in threading.enumerate()) == 1:
         with thread_count(1):
             pass
 

@@ -310,14 +310,17 @@ def _parameters(kind: str, plugin: str) -> list[str]:
     if kind != "bsdf" or plugin in NEEDS:
         return sorted(words) if kind == "unknown" and plugin in _plugin_files() else []
     found = words & {"specular"}  # which principled refuses beside eta
-    for _ in words:
+    while True:
         try:
             mi.load_dict({"type": plugin, **dict.fromkeys(words - found, False)})
+            return sorted(words)
         except RuntimeError as error:
             if unread := NAMED.findall(str(error)):
                 return sorted(words - {*unread})
-            found |= words & {*re.findall(r"""['"](\w+)['"]""", str(error))}
-    return sorted(found)
+            refused = words & {*re.findall(r"""['"](\w+)['"]""", str(error))} - found
+        if not refused:  # it needs what is not known
+            return []
+        found |= refused
 
 
 def _as_loaded(node: Any) -> Any:
@@ -391,7 +394,7 @@ def load_plugin_file(path: str | PathLike[str]) -> None:
         exec(compile(content, str(path), "exec"), scope)
     except (Exception, SystemExit) as error:
         # a user's file may raise anything
-        hint = "; leave out its mi.set_variant" if "backend" in str(error) else ""
+        hint = "; leave out its mi.set_variant" * ("jit_init" in str(error))
         raise SpecimenError(
             f"plugin file {path} raised {type(error).__name__}: {_one_line(error)}"
             f"{own_place(error)}{hint}"

@@ -106,7 +106,7 @@ def chosen(record: Record, index: int) -> Record:
     ValueError
         If there is no such direction.
     """
-    (record,) = checked_records([record])
+    (record,) = checked_records(record, several=False)
     index = checked_count("index", index, 0)
     if index >= len(record):
         raise SettingError(

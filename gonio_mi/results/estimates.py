@@ -282,8 +282,8 @@ class SampledEstimates(Estimates):
         missed = np.where(few, largest, weight) if self.deposited else weight
         heavy = np.where(rare, heavy, 0.0)
         unlike = self._unlike_interval(fraction, scatter, missed, heavy, level)
-        more = (hits < self.rays) | self.deposited
-        student = alike = self._student(fraction, scatter, weight, more, level)
+        above = weight if self.deposited else self._may_exceed(weight, hits)
+        student = alike = self._student(fraction, scatter, weight, above, level)
         if not self.deposited:
             low, high = statistics.binomial_interval(hits, self.rays, level)
             alike = low * weight, high * weight
@@ -338,7 +338,10 @@ class SampledEstimates(Estimates):
             of_each = np.broadcast_to(hits, value.shape)
             return statistics.binomial_interval(of_each, self.rays, level)
         weight = value * self.rays / hits
-        limits = self._student(value, std_err, weight, hits < self.rays, level)
+        above = self._may_exceed(weight, hits)
+        if self.deposited:  # several of a ray, however many are as many as rays
+            above = np.maximum(weight, 1 - weight)
+        limits = self._student(value, std_err, weight, above, level)
         unlike = self._unlike_interval(value, std_err, weight, heavy, level)
         rare = self._rare(value, std_err, hits, heavy)
         wide = zip(_widened(limits, unlike), limits)
@@ -368,24 +371,29 @@ class SampledEstimates(Estimates):
                 largest = np.fmax(largest, scatter**2 / value)
             return statistics.gamma_interval(value, scatter, largest, level, heavy)
 
+    def _may_exceed(self, weight: Floats, hits: Counts | int) -> Floats:
+        """What a ray unlike all others may add: the weight of one more hit.
+
+        Or where all were received, what a ray of unit weight has above it.
+        """
+        return np.where(hits < self.rays, weight, np.maximum(1 - weight, 0))
+
     def _student(
         self,
         value: Floats,
         std_err: Floats,
         weight: Floats,
-        more: Flags | bool,
+        above: Floats,
         level: float,
     ) -> tuple[Floats, Floats]:
         """Interval by Student's t, which leaves open what too few rays show.
 
         So many rays as would leave an empty patch empty may be of another kind, of
         which none was seen (Hanley and Lippman-Hand 1983, JAMA 249, 1743): rays that
-        are lost, or received as well; and where no `more` can be received, which hits
-        of unit weight at most can exceed, rays of that weight. However many the rays,
-        they leave open the rounding of what they carry.
+        are lost, or that add the weight `above`. However many the rays, they leave
+        open the rounding of what they carry.
         """
         unseen = statistics.upper_limit(self.rays, level)
-        above = np.where(more, weight, np.maximum(1 - weight, 0))
         rounding, n = ROUNDING * value, self.tally.n_batches
         below = np.maximum(unseen * weight, rounding)
         above = np.where(above > 0, np.maximum(unseen * above, rounding), 0.0)

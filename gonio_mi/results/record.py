@@ -340,12 +340,12 @@ def chosen_channel(place: object, names: Sequence[str], channel: str | None) -> 
     raise SettingError(f"channel must be one of {known} for {place}{found}")
 
 
-def checked_records(given: Any) -> list[Record]:
-    """List of one record or of several; SettingTypeError for anything else."""
-    several = [*given] if isinstance(given, Iterable) else []
-    records = [given] if isinstance(given, Record) else several
+def checked_records(given: Any, several: bool = True) -> list[Record]:
+    """List of one record, or of `several`; SettingTypeError for anything else."""
+    one = not several or isinstance(given, Record) or not isinstance(given, Iterable)
+    records = [given] if one else [*given]
     if not records or not all(isinstance(one, Record) for one in records):
-        text = f"record must be a Record or several, got {shown(given)}"
+        text = f"record must be a Record{' or several' * several}, got {shown(given)}"
         raise SettingTypeError(text)
     return records
 

@@ -23,10 +23,10 @@ from .specimen import Specimen
 from .wavelengths import passes
 
 # Levels of rare powers for those from 2**-47 on, which one sample of a glossy BSDF
-# in a million carries, or 2**-95, which is what it sends to points beside its lobe: a
+# in a million carries, or 2**-87, which is what it sends to points beside its lobe: a
 # launch that met them without room would be repeated, and compiled anew. In large
 # collectors the room is made when it is needed.
-USUAL_LEVELS, LEVELS_OF_POINTS = range(5, 8), range(2, 8)
+USUAL_LEVELS, LEVELS_OF_POINTS = range(10, 15), range(5, 15)
 MAX_ROOMY_BINS = 2**16
 
 

@@ -4,7 +4,7 @@ Powers of single precision are added up as whole numbers, so that no order of th
 changes a sum. A power is a mantissa of 24 bits times a power of two. Those that rays
 ordinarily carry, from 2**-13 to 2**3, are whole multiples of 2**-36, and 2**24 of them,
 as many as a launch has rays, stay below 2**63; the branches of a ray share its power.
-All others are sorted by 16 exponents at a time into levels, each with a unit of its
+All others are sorted by eight exponents at a time into levels, each with a unit of its
 own.
 """
 
@@ -32,7 +32,7 @@ ONE = 2**-UNIT
 LOWEST, N_ORDINARY = 114, 16
 
 # Levels of all numbers but infinity and those below 2**-126.
-LEVELS = 16
+LEVELS = 32
 
 # Units, as exponents of two, to whole numbers of which the elements of Mueller matrices
 # beside the first are rounded: of faint, ordinary and bright light, and from which size
@@ -71,16 +71,16 @@ class Digits:
 
     def level(self) -> mi.UInt32:
         """Level of a power, below LEVELS if it is a positive number."""
-        return self.exponent >> 4
+        return self.exponent >> 3
 
     def number_in_level(self) -> mi.Int64:
-        """Whole number, below 2**39, in the unit of the level."""
-        return mi.Int64(self._mantissa) << mi.Int64(self.exponent & 15)
+        """Whole number, below 2**32, in the unit of the level."""
+        return mi.Int64(self._mantissa) << mi.Int64(self.exponent & 7)
 
 
 def unit_of(level: int) -> int:
     """Exponent of two of the unit of a level."""
-    return 16 * level - 150
+    return 8 * level - 150
 
 
 class Exact:

@@ -178,7 +178,7 @@ class Probe:
         parts = checked_parts("eval_pdf", answer, 2)
         return self._pair(("eval_pdf", "eval_pdf"), parts, dr.width(wo, active))
 
-    def shared(self, functions: str, wo: mi.Vector3f) -> Any:
+    def in_turn(self, functions: str, wo: mi.Vector3f) -> Any:
         """Answer of the last of some functions, which get the same arguments."""
         return self._call(functions, wo)
 

@@ -396,7 +396,7 @@ BAD_LINES = [
     ("compare diffuse none.csv", ": there is no file none.csv\n"),
     ("show --json a.json", "--json takes no file, for it prints"),
     ("show missing.npz", "missing.npz"),
-    ("validate .", "there is no file ., but a folder"),
+    ("validate .", ". is a folder, not a file"),
     ("show run.txt", "there is no file run.txt"),
     ("plot missing.npz -o a.png", "missing.npz"),
 ]

@@ -97,7 +97,7 @@ def fit(
     """
     bsdf = parse_specimen(model) if isinstance(model, str) else model
     if not (isinstance(bsdf, Mapping) and "type" in bsdf):
-        raise SettingError(f"model must be a BSDF in one word, got {shown(model)}")
+        raise SettingError(f"model must be a BSDF with a type, got {shown(model)}")
     if isinstance(record, Mapping) and "type" not in record:  # several, of orders
         text = f"record must be one record, table or specimen, got {shown(record)}"
         raise SettingError(f"{text}: take one of these")

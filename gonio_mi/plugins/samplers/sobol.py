@@ -178,16 +178,16 @@ def on_curve(
     return index ^ dr.opaque(mi.UInt32, base)
 
 
-def quarter(index: mi.UInt32, seed: mi.UInt32, known: int) -> mi.UInt32:
+def quarter(index: mi.UInt32, seed: mi.UInt32, n_digits: int) -> mi.UInt32:
     """In which part of their places points are, from 0 to 3 along the curve.
 
-    Places are named by so many `known` digits of the first two numbers.
+    Places are named by so many digits of the first two numbers.
     """
     part = mi.UInt32(0)
     for d in (0, 1):
-        digit = dr.opaque(mi.UInt32, 31 - (known + 1 - d) // 2)
+        digit = dr.opaque(mi.UInt32, 31 - (n_digits + 1 - d) // 2)
         # that of x first where both have as many digits
-        first = dr.opaque(mi.UInt32, (known + d + 1) % 2)
+        first = dr.opaque(mi.UInt32, (n_digits + d + 1) % 2)
         part |= (sobol_number(index, seed, mi.UInt32(d)) >> digit & 1) << first
     return part
 
@@ -460,12 +460,12 @@ class Sobol(mi.Sampler):
         index = on_curve(tables, place, sequence, base, bits)
         start, own = (dr.opaque(mi.UInt32, x) for x in (self.start, self.per_sequence))
         index = dr.select(step < dr.opaque(mi.UInt32, n), index, start + own)
-        known = leading_digits(*FOOTPRINT, bits)
-        joined = together << bits - known
-        # from the smallest parts on, of which each holds eight points at most
+        leading = leading_digits(*FOOTPRINT, bits)
+        joined = together << bits - leading
+        # from the smallest parts on, of about eight points each
         for depth in reversed(range(max((joined.bit_length() - 3) // 2, joined > 1))):
             seed = dr.gather(mi.UInt32, keys, sequence)
-            part = quarter(index, seed, known + 2 * depth)
+            part = quarter(index, seed, leading + 2 * depth)
             index, sequence = sorted_within(joined, part, index, sequence)
         dr.eval(index, sequence)
         # few of nobody cost less than to leave them out

@@ -30,7 +30,7 @@ EVAL_PDF_SAMPLE = Question(
 class JointFunctions(Mistake):
     """How a joint function contradicts the separate ones."""
 
-    CHANGED = "{who} changes its arguments in place, and `eval_pdf` passes them on"
+    CHANGED = "{who} changes its arguments in place, which joint functions pass on"
     OTHER_ANSWERS = "{who} answers otherwise than `{alone}`"
     OTHER_SAMPLES = "{who} draws other samples than `sample`"
 
@@ -122,7 +122,7 @@ def _guess(
 ) -> Guess:
     """What is wrong with a joint function, or with arguments that it passes on."""
     first = "eval" if alone == "pdf" else "pdf"
-    answer = probe.shared(f"{first} {alone}", vectors(wo))
+    answer = probe.in_turn(f"{first} {alone}", vectors(wo))
     n = len(wo)
     passed = numbers(answer, n)[:, None] if alone == "pdf" else spectral(answer, n)
     if beyond_rounding(unequal(passed, joint, 0.0) & wrong):

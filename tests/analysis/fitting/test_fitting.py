@@ -455,8 +455,8 @@ def test_variances_are_pooled():
         ({"order": 2}, "diffuse", None, r"a fit needs light, got none \(order: 2\)"),
         ({}, "diffuse", ["colour"], "free must name parameters such as"),
         ({}, "roughplastic", ["alhpa"], "got 'alhpa'; did you mean alpha"),
-        ({}, {"reflectance": 0.5}, None, "must be a BSDF in one word, got {'refl"),
-        ({}, None, None, "must be a BSDF in one word, got None"),
+        ({}, {"reflectance": 0.5}, None, "must be a BSDF with a type, got {'refl"),
+        ({}, None, None, "must be a BSDF with a type, got None"),
         ({}, "roughplastik", None, "only; did you mean roughplastic"),
         ({}, "diffuse", ["x=1:0"], "limits as in x=0:1"),
         ({}, "diffuse:reflectance=0.5", None, "got nothing"),
@@ -550,7 +550,7 @@ def test_command(tmp_path, capfd):
     assert main([*command, "--quantity", "brdf"]) == 1
     assert "--quantity applies to tables" in capfd.readouterr().err
     assert main(["fit", str(tmp_path / "a.npz"), "scenes/lambertian.xml"]) == 1
-    assert "must be a BSDF in one word" in capfd.readouterr().err
+    assert "must be a BSDF with a type" in capfd.readouterr().err
 
 
 SHINY = "principled:roughness=0.5,metallic=1,base_color=1"

@@ -1,5 +1,6 @@
 """What a new user does wrong in Python is told: by a warning, or by what was meant."""
 
+import re
 import warnings
 
 import gonio_mi as gonio
@@ -134,8 +135,8 @@ def test_a_dictionary_without_a_type_is_told(bsdf):
 
 @pytest.mark.parametrize("wrong", [5, [], {"1": None}, ["run.npz"]])
 def test_what_is_no_record_is_told(wrong):
-    """Of plots, which take one."""
-    with pytest.raises(TypeError, match=r"^record must be a Record or several, got "):
+    told = re.escape(repr(wrong))
+    with pytest.raises(TypeError, match=rf"^record must be a Record, got {told}$"):
         gonio.plot(wrong)
     with pytest.raises(TypeError, match=r"^record must be a Record or several, got "):
         gonio.report(wrong, "page.html")

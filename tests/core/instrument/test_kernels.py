@@ -20,6 +20,7 @@ from gonio_mi.commands.arguments import INCOMPLETE
 from gonio_mi.errors import LostLightWarning, SpecimenError, VariantError, is_ctrl_c
 from gonio_mi.instrument import launcher
 from gonio_mi.instrument.loading import load_specimen
+from gonio_mi.progress import WATCH
 from gonio_mi.threads import drjit_lock, thread_count, two_threads
 from gonio_mi.transport.kernels import check_all_counted, launches_kernels
 
@@ -130,14 +131,28 @@ def test_threads_are_counted_when_nobody_changes_them(monkeypatch):
         assert not any(seen)
 
 
-@pytest.mark.parametrize("alone", [True, False])
-def test_threads_sleep_once_the_kernel_ran(monkeypatch, alone):
+@pytest.mark.parametrize(("others", "parked"), [([], 1), ([WATCH], 1), (["own"], 0)])
+def test_threads_sleep_once_the_kernel_ran(monkeypatch, others, parked):
     """New ones do; those that others of Python's may need are left as they are."""
-    changes = []
+    changes, threads = [], [Thread(name=name) for name in ("this", *others)]
     monkeypatch.setattr(dr, "set_thread_count", changes.append)
-    monkeypatch.setattr(threading, "active_count", lambda: 1 if alone else 2)
+    monkeypatch.setattr(threading, "enumerate", lambda: threads)
     gonio.measure(PLATE, 30, **SMALL)
-    assert changes.count(1) == alone
+    assert changes.count(1) == parked
+
+
+def test_ctrl_c_leaves_as_many_threads_as_there_were(monkeypatch):
+    before, change = dr.thread_count(), dr.set_thread_count
+
+    def interrupted(n):
+        change(n)
+        if n == 1:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(dr, "set_thread_count", interrupted)
+    with pytest.raises(KeyboardInterrupt), thread_count(1):
+        pass
+    assert dr.thread_count() == before > 1
 
 
 def task_of_plate():

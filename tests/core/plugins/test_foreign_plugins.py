@@ -176,11 +176,11 @@ def test_a_file_that_sets_its_own_variant_is_told(tmp_path, rgb):  # noqa: ARG00
         load_plugin_file(path)
     assert mi.variant() == "llvm_ad_mono"
     load_plugin_file(path)
-    path.write_text("raise ImportError('the CUDA backend is not there')\n")
+    path.write_text("raise ImportError('jit_init(): the CUDA backend is not there')\n")
     with pytest.raises(gonio.SpecimenError, match=r"; leave out its mi\.set_variant$"):
         load_plugin_file(path)
-    path.write_text("raise ImportError('no module')\n")
-    with pytest.raises(gonio.SpecimenError, match=r"no module \(sets\.py, line 1\)$"):
+    path.write_text("raise ImportError('no backend')\n")
+    with pytest.raises(gonio.SpecimenError, match=r"no backend \(sets\.py, line 1\)$"):
         load_plugin_file(path)
 
 
