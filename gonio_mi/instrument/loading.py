@@ -307,8 +307,9 @@ def _parameters(kind: str, plugin: str) -> list[str]:
     those of its parameters that are none, and then Mitsuba lists what was not read.
     """
     words = _words(plugin)
-    if kind != "bsdf" or plugin in NEEDS:
-        return sorted(words) if kind == "unknown" and plugin in _plugin_files() else []
+    ours = _plugin_files().get(plugin, Path()).suffix == ".py"
+    if ours or kind != "bsdf" or plugin in NEEDS:
+        return sorted(words) if ours else []
     found = words & {"specular"}  # which principled refuses beside eta
     while True:
         try:

@@ -25,7 +25,7 @@ NOT_YET = {
 # What is said where a factor, or a change from call to call, is known.
 SAID = {
     "weight_without_g1": "`sample` weight lacks the factor G1(wo), ",
-    "eval_moves_wo": "`eval` changes its arguments in place, and `eval_pdf` passes",
+    "eval_moves_wo": "`eval` changes its arguments in place, which joint",
     "after_many_calls": "`eval` returns different values when called again",
     "after_many_samples": "`sample` returns different values when called again",
 }
