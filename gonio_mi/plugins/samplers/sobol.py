@@ -107,13 +107,18 @@ def _curve_table() -> mi.UInt32:
     return mi.UInt32(sorting_tables(*FOOTPRINT).ravel())
 
 
+# Of a word of :func:`curve_tables`, the bits that are no index: the next digits.
+NEXT_DIGITS = 30
+
+
 def curve_tables(base: int, bits: int, keys: mi.UInt32, n: int) -> mi.UInt32:
     """What either coordinate of a place adds to the index of a sequence's point there.
 
     A place on the curve is a square or half of one, named by `bits` digits of the first
     two numbers. All but their scrambling, which here is undone, is linear over GF(2):
     the index is the exclusive or of one word for the digits of x, one for those of y,
-    and `base`.
+    and `base`. Above it stand the digits after the leading ones, one of each: in which
+    quarter of its place the point is.
 
     Parameters
     ----------
@@ -144,7 +149,19 @@ def curve_tables(base: int, bits: int, keys: mi.UInt32, n: int) -> mi.UInt32:
     for byte in range(4):
         at = (4 * whole + byte) * 256 + ((place >> 8 * byte) & 255)
         index = index ^ dr.gather(mi.UInt32, _curve_table(), at)
-    return index
+    # a digit is flipped or not by what comes before it in its own coordinate
+    leading = dr.opaque(mi.UInt32, leading_digits(*FOOTPRINT, bits))
+    known = (leading + 1 - draw) >> 1
+    flipped = owen(plain & ((mi.UInt32(1) << known) - 1), word)
+    entries = index
+    for d in (0, 1):
+        x = sobol_any(index, mi.UInt32(d))
+        x = x ^ dr.select(draw == d, flipped ^ offset, mi.UInt32(0))
+        following = (x >> ((leading + 1 - d) >> 1)) & 1
+        # that of x first where both have as many digits
+        first = dr.select((leading & 1) == d, mi.UInt32(1), 0)
+        entries = entries | (following << (NEXT_DIGITS + first))
+    return entries
 
 
 def _room(bits: int) -> int:
@@ -154,8 +171,8 @@ def _room(bits: int) -> int:
 
 def on_curve(
     tables: mi.UInt32, place: mi.UInt32, sequence: mi.UInt32, base: int, bits: int
-) -> mi.UInt32:
-    """Indices of ``2**bits`` points from `base` on, in the order of a Morton curve.
+) -> tuple[mi.UInt32, mi.UInt32]:
+    """Permutation of ``2**bits`` points from `base` on, that follows a Morton curve.
 
     It sorts by the first two scrambled numbers, so that points of any sequences at one
     place are neighbours.
@@ -167,29 +184,21 @@ def on_curve(
     place, sequence : mi.UInt32
         The former below ``2**bits``.
     base, bits : int
-        The former a multiple of ``2**bits``.
+        The former a multiple of ``2**bits``, and that at most ``2**NEXT_DIGITS``.
+
+    Returns
+    -------
+    index, quarter : mi.UInt32
+        Of points, and from 0 to 3 along the curve, in which part of the place they are.
     """
     whole, room = dr.opaque(mi.UInt32, bits), dr.opaque(mi.UInt32, _room(bits))
     digits = _mirrored(place, whole)
     row = sequence << (room + 1)
-    index = dr.gather(mi.UInt32, tables, row + _every_other(digits))
+    word = dr.gather(mi.UInt32, tables, row + _every_other(digits))
     row += mi.UInt32(1) << room
-    index = index ^ dr.gather(mi.UInt32, tables, row + _every_other(digits >> 1))
-    return index ^ dr.opaque(mi.UInt32, base)
-
-
-def quarter(index: mi.UInt32, seed: mi.UInt32, n_digits: int) -> mi.UInt32:
-    """In which part of their places points are, from 0 to 3 along the curve.
-
-    Places are named by so many digits of the first two numbers.
-    """
-    part = mi.UInt32(0)
-    for d in (0, 1):
-        digit = dr.opaque(mi.UInt32, 31 - (n_digits + 1 - d) // 2)
-        # that of x first where both have as many digits
-        first = dr.opaque(mi.UInt32, (n_digits + d + 1) % 2)
-        part |= (sobol_number(index, seed, mi.UInt32(d)) >> digit & 1) << first
-    return part
+    word = word ^ dr.gather(mi.UInt32, tables, row + _every_other(digits >> 1))
+    index = (word & ((mi.UInt32(1) << whole) - 1)) ^ dr.opaque(mi.UInt32, base)
+    return index, word >> NEXT_DIGITS
 
 
 def sorted_within(n: int, digit: mi.UInt32, *arrays: mi.UInt32) -> list[mi.UInt32]:
@@ -457,16 +466,12 @@ class Sobol(mi.Sampler):
         keys = dr.concat([self.keys, self.keys])
         base = self.start >> bits << bits
         tables = curve_tables(base, bits, keys, self.sequences)
-        index = on_curve(tables, place, sequence, base, bits)
+        index, quarter = on_curve(tables, place, sequence, base, bits)
         start, own = (dr.opaque(mi.UInt32, x) for x in (self.start, self.per_sequence))
         index = dr.select(step < dr.opaque(mi.UInt32, n), index, start + own)
-        leading = leading_digits(*FOOTPRINT, bits)
-        joined = together << bits - leading
-        # from the smallest parts on, of about eight points each
-        for depth in reversed(range(max((joined.bit_length() - 3) // 2, joined > 1))):
-            seed = dr.gather(mi.UInt32, keys, sequence)
-            part = quarter(index, seed, leading + 2 * depth)
-            index, sequence = sorted_within(joined, part, index, sequence)
+        joined = together << bits - leading_digits(*FOOTPRINT, bits)
+        if joined > 1:
+            index, sequence = sorted_within(joined, quarter, index, sequence)
         dr.eval(index, sequence)
         # few of nobody cost less than to leave them out
         if self.per_sequence < 7 << bits >> 3 or (together << bits) % chunk:
