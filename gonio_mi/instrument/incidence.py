@@ -114,6 +114,6 @@ def towards(incident: tuple[float, float], side: str) -> Floats:
     return np.array([x, y, z if side == "front" else -z])
 
 
-def collimated(towards: Floats) -> Any:
-    """Emitter of a collimated beam; it needs no scene."""
-    return mi.load_dict({"type": "directional", "direction": (-towards).tolist()})
+def collimated(vector: Floats) -> Any:
+    """Emitter of a collimated beam, towards which a vector points; without a scene."""
+    return mi.load_dict({"type": "directional", "direction": (-vector).tolist()})

@@ -342,8 +342,8 @@ def chosen_channel(place: object, names: Sequence[str], channel: str | None) -> 
 
 def checked_records(given: Any, several: bool = True) -> list[Record]:
     """List of one record, or of `several`; SettingTypeError for anything else."""
-    one = not several or isinstance(given, Record) or not isinstance(given, Iterable)
-    records = [given] if one else [*given]
+    alone = isinstance(given, Record) or not isinstance(given, Iterable)
+    records = [given] if alone or not several else [*given]
     if not records or not all(isinstance(one, Record) for one in records):
         text = f"record must be a Record{' or several' * several}, got {shown(given)}"
         raise SettingTypeError(text)

@@ -8,6 +8,7 @@ import plain_bsdf
 import pytest
 
 import gonio_mi as gonio
+from gonio_mi.collector.directions import direction
 from gonio_mi.instrument import launcher, schedule
 from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.instrument.setup import set_up
@@ -58,6 +59,18 @@ def check_alone(stack, specimen, which, **settings):
         one, other = dict(stack[i].settings), dict(alone.settings)
         del one["created"], other["created"]
         assert one == other
+
+
+@pytest.mark.parametrize("side", ["front", "back"])
+def test_directions_are_the_nearest_of_single_precision(side):
+    """Exact, of the first and of those turned from it."""
+    incidents = [(7.0 * i, 31.0 * i) for i in range(13)]
+    settings = MeasurementSettings(side=side)
+    setups = set_up(load_specimen(MATT), settings, incidents)
+    wanted = direction(*np.radians(incidents).T)
+    wanted[:, 2] *= 1 if side == "front" else -1
+    found = [np.ravel(np.array(setup.beam.wi)) for setup in setups]
+    assert np.array_equal(found, wanted.astype(np.float32))
 
 
 @pytest.mark.parametrize(
