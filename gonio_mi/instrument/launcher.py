@@ -27,7 +27,7 @@ MAX_LAUNCH = 2**24
 # add up to, kept apart for each thread and in its cache: also those of several incident
 # directions.
 FUSED_RAYS = 2**22
-FUSED_SUMS = 2**19
+FUSED_SUMS = 2**20
 
 # Rays of the first launch: traced and on a plane; and points that traced ones send
 # light to. Then as many as take a second.

@@ -187,8 +187,9 @@ class Sums:
         self.levels = setup.levels
         self.bins = dr.zeros(mi.Int64, n_batches * setup.n_bins * self.width)
         n_rare = self.channels * n_batches * setup.n_bins
-        # first how often there was no room, for each level
-        self.rare = dr.zeros(mi.Int64, LEVELS + len(self.levels) * n_rare)
+        self.rare = dr.zeros(mi.Int64, len(self.levels) * n_rare)
+        # whether there was such a power, for each level
+        self.met = dr.zeros(mi.UInt32, LEVELS)
         n_incident = 0 if setup.beam.uniform else self.channels * n_batches
         self.incident = dr.zeros(mi.Int64, LEVELS * n_incident)
         self.elements: Any = None
@@ -251,8 +252,9 @@ class Sums:
             for channel, d in enumerate(digits):
                 rare = active & collected & d.rare
                 self._add_rare(bins, channel, d, rare, batch, sign)
-        excesses = [numbers[0] - self.one, *(n - numbers[0] for n in numbers[1:])]
-        packet = [1, *(dr.select(collected, e, 0) for e in excesses)]
+        first, *others = numbers
+        packet = [first, *(one - first for one in others)]
+        packet = [1, *(dr.select(collected, number, 0) for number in packet)]
         packet += [0] * (self.width - len(packet))
         bins = bins + batch * self.setup.n_bins
         _scatter_add(self.bins, mi.ArrayXi64(packet), bins, active)
@@ -288,29 +290,27 @@ class Sums:
         batch: mi.UInt32,
         sign: int,
     ) -> None:
-        """Scatter powers to their levels, or if there is no room, count them."""
-        index, number = digits.level(), mi.Int64(1)
+        """Scatter powers to their levels, where there is room."""
+        level = digits.level()
+        dr.scatter(self.met, mi.UInt32(1), level, active)
         if self.levels:
-            step = mi.UInt32(index - self.levels.start)
-            room = step < len(self.levels)
+            step = mi.UInt32(level - self.levels.start)
             place = (step * self.channels + channel) * self.n_batches + batch
             place = place * self.setup.n_bins + bins
-            index = dr.select(room, LEVELS + place, index)
-            number = dr.select(room, sign * digits.number_in_level(), number)
-        _scatter_add(self.rare, number, index, active)
+            active = active & (step < len(self.levels))
+            _scatter_add(self.rare, sign * digits.number_in_level(), place, active)
 
     def evaluate(self) -> None:
         """Compile the kernel and let it run."""
-        dr.eval(self.bins, self.incident, self.rare, self.elements)
+        dr.eval(self.bins, self.incident, self.rare, self.met, self.elements)
         self.started = time.perf_counter()
 
     @property
     def lacking(self) -> range:
-        """Levels needed for what overflowed; empty if nothing did."""
-        (found,) = np.nonzero(self.rare.numpy()[:LEVELS])
-        if not found.size:
+        """Levels needed if there was no room for one that was met; else empty."""
+        needed = {*np.flatnonzero(self.met).tolist(), *self.levels}
+        if needed == {*self.levels}:
             return range(0)
-        needed = [*found.tolist(), *self.levels]
         return range(min(needed), max(needed) + 1)
 
     def totals(self, n_batches: int) -> Totals:
@@ -318,15 +318,14 @@ class Sums:
         by_class = len(self.setup.classes), self.capacity
         shape: tuple[int, ...] = (*by_class, self.setup.n_bins, self.width)
         bins = self.bins.numpy().reshape(shape)[:, :n_batches, :, : 1 + self.channels]
-        rays = bins[..., 0]
-        # beyond 64 bits in between, but not in the end
-        flux = bins[..., 1:] + (rays * self.one)[..., None]
-        flux[..., 1:] += bins[..., 1:2]
+        rays, flux = bins[..., 0], bins[..., 1:]
+        if self.channels > 1:
+            flux = np.concatenate([flux[..., :1], flux[..., 1:] + flux[..., :1]], -1)
         numbers = {0 if self.counted else UNIT: flux}
         shape = len(self.levels), self.channels, *shape[:3]
-        rare = np.moveaxis(self.rare.numpy()[LEVELS:].reshape(shape), 1, -1)
+        rare = np.moveaxis(self.rare.numpy().reshape(shape), 1, -1)
         for level, sums in zip(self.levels, rare):
-            if sums.any():
+            if self.met[level]:
                 numbers[unit_of(level)] = sums[:, :n_batches]
         incident = None
         if not self.setup.beam.uniform:
