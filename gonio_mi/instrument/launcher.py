@@ -108,7 +108,7 @@ class Launcher:
             fitting = FUSED_SUMS // (sums * n_numbers() * settings.batches)
             if Target.of(settings) is None:
                 fitting = min(fitting, FUSED_RAYS // settings.rays)
-            self.together = max(1, fitting)
+            self.together = even_part(len(setups), max(1, fitting))
 
     def n_together(self, part: Round) -> int:
         """How many incident directions share the launches of a round.
@@ -224,6 +224,11 @@ class Launcher:
                 there = min(at + -(-max(1, n) // chunk) * chunk, length)
                 yield replace(whole, sizes=parts, begin=begin, stretch=(at, there))
                 at = there
+
+
+def even_part(n: int, most: int) -> int:
+    """How many of `n` share a group, of as few groups as there may be, about alike."""
+    return -(-n // -(-n // most))
 
 
 def _may_share(setup: Setup) -> bool:

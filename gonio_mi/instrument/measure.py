@@ -26,7 +26,7 @@ from ..transport.setup import Setup
 from ..transport.surface_points import SingleScattering, single_scattering
 from ..transport.variants import is_parallel
 from .incidence import incident_angles
-from .launcher import Launcher, round_rays
+from .launcher import Launcher, even_part, round_rays
 from .loading import check_named_files, load_specimen
 from .recording import check_resumable, record_of, records_of, warn_of_interruption
 from .schedule import Target, rays_sent, rounds, schedule
@@ -168,7 +168,9 @@ def send_all(
     _check_sums_fit(setups, plan)
     # one that is carried on has sent more in some directions than in others
     launcher = Launcher(setups[:1] if any(finished) else setups)
-    together = MAX_TOGETHER if integrates else launcher.together
+    size = launcher.together
+    if integrates:
+        size = even_part(len(setups), MAX_TOGETHER)
     rays = None
     if Target.of(settings) is None:
         before = sum(sum(rays_sent(tallies, n_passes)) for tallies in finished)
@@ -190,8 +192,6 @@ def send_all(
                     delay=1,
                 ) as joined:
                     single = single_scattering(setups, joined)
-            # as few groups as there may be, about alike
-            size = -(-len(setups) // -(-len(setups) // together))
             for first in range(0, len(setups), size):
                 some = slice(first, first + size)
                 # without the integrals beside them rays are not enough
