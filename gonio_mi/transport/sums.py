@@ -123,8 +123,22 @@ class Exact:
 
         Each unit is rounded once; they are added from the smallest on.
         """
+        rare = [words for unit, words in self._words.items() if unit != UNIT]
+        if UNIT not in self._words or not rare:
+            return self._rounded(..., scale)
+        # most numbers of the other units are 0
+        total = Exact({})
+        total._words[UNIT] = self._words[UNIT]
+        powers = total._rounded(..., scale)
+        some = reduce(np.logical_or, (word != 0 for words in rare for word in words))
+        powers[some] = self._rounded(some, scale)
+        return powers
+
+    def _rounded(self, some: Any, scale: int) -> Floats:
+        """Powers in some places."""
         total: Any = 0.0
-        for unit, (*high, low) in sorted(self._words.items()):
+        for unit, words in sorted(self._words.items()):
+            *high, low = (word[some] for word in words)
             number = low.astype(float)
             for word in high:
                 number += word * 2.0**32
