@@ -215,7 +215,7 @@ class Launcher:
         start, sizes, walks = whole.begin, whole.sizes, whole.n_directions
         together = len(sizes) // walks
         chunk = chunk_lanes(together)
-        most = 2**30 >> (together - 1).bit_length()  # places have 30 bits
+        most = 2**29 >> (together - 1).bit_length()  # places have 29 bits
         for begin, end in segments(start, start + sizes[0], most):
             parts = tuple(min(end, start + size) - begin for size in sizes)
             at, length = 0, together << block_bits(begin, end - begin)

@@ -48,11 +48,7 @@ def sorting_tables(
         Among the first ``2**h`` points, number ``i`` along the curve has the index that
         is the exclusive or of ``table[h, b, byte b of i]`` over all four bytes.
     """
-    digits = [
-        _functional(columns, 31 - place)
-        for place in range(32)
-        for columns in (x_columns, y_columns)
-    ]
+    digits = [deciding_bits(x_columns, y_columns, number) for number in range(64)]
     tables = np.zeros((33, 4, 256), np.uint32)
     byte = np.arange(256)
     for h in range(1, 33):
@@ -71,8 +67,7 @@ def leading_digits(x_columns: Sequence[int], y_columns: Sequence[int], h: int) -
     low = (1 << h) - 1
     independent: list[int] = []
     for place in range(h):
-        columns = (x_columns, y_columns)[place % 2]
-        digit = _functional(columns, 31 - place // 2) & low
+        digit = deciding_bits(x_columns, y_columns, place) & low
         for other in independent:
             digit = min(digit, digit ^ other)
         if not digit:
@@ -81,8 +76,11 @@ def leading_digits(x_columns: Sequence[int], y_columns: Sequence[int], h: int) -
     return h
 
 
-def _functional(columns: Sequence[int], bit: int) -> int:
-    """Which bits of the index decide about one bit of a coordinate, as a mask."""
+def deciding_bits(
+    x_columns: Sequence[int], y_columns: Sequence[int], number: int
+) -> int:
+    """Which bits of the index decide about a digit, of a `number` from 0, as a mask."""
+    columns, bit = (x_columns, y_columns)[number % 2], 31 - number // 2
     return sum((column >> bit & 1) << k for k, column in enumerate(columns))
 
 

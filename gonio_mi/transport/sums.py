@@ -123,29 +123,30 @@ class Exact:
 
         Each unit is rounded once; they are added from the smallest on.
         """
-        rare = [words for unit, words in self._words.items() if unit != UNIT]
-        if UNIT not in self._words or not rare:
-            return self._rounded(..., scale)
-        # most numbers of the other units are 0
-        total = Exact({})
-        total._words[UNIT] = self._words[UNIT]
-        powers = total._rounded(..., scale)
-        some = reduce(np.logical_or, (word != 0 for words in rare for word in words))
-        powers[some] = self._rounded(some, scale)
+        usual = {UNIT: self._words[UNIT]} if UNIT in self._words else self._words
+        powers = _powers(usual, scale)
+        rare = [self._words[unit] for unit in self._words.keys() - usual.keys()]
+        if rare:  # most of these numbers are 0
+            some = reduce(
+                np.logical_or, (word for words in rare for word in words), False
+            )
+            every = self._words.items()
+            few = {unit: tuple(word[some] for word in words) for unit, words in every}
+            powers[some] = _powers(few, scale)
         return powers
 
-    def _rounded(self, some: Any, scale: int) -> Floats:
-        """Powers in some places."""
-        total: Any = 0.0
-        for unit, words in sorted(self._words.items()):
-            *high, low = (word[some] for word in words)
-            number = low.astype(float)
-            for word in high:
-                number += word * 2.0**32
-            number *= 2.0**unit * scale
-            number += total
-            total = number
-        return total
+
+def _powers(units: dict[int, tuple[Integers, ...]], scale: int) -> Floats:
+    """Powers, in float64, of words by the exponents of two of their units."""
+    total: Any = 0.0
+    for unit, (*high, low) in sorted(units.items()):
+        number = low.astype(float)
+        for word in high:
+            number += word * 2.0**32
+        number *= 2.0**unit * scale
+        number += total
+        total = number
+    return total
 
 
 def _halves(words: tuple[Integers, ...]) -> tuple[Integers, ...]:
@@ -158,10 +159,10 @@ def _halves(words: tuple[Integers, ...]) -> tuple[Integers, ...]:
 class Sums:
     """Sums over the bins of a setup that a kernel scatters to.
 
-    A bin holds hits, the excess of their powers over 1, and for each further channel
-    the excess over the first: side by side, since Dr.Jit adds such a packet in one go,
-    three times as fast as one number alone. Where that is not so, in large collectors,
-    zeros are skipped: counted rays and achromatic specimens cost one addition.
+    A bin holds hits, their power, and for each further channel the excess over the
+    first: side by side, since Dr.Jit adds such a packet in one go, three times as fast
+    as one number alone. Where that is not so, in large collectors, zeros are skipped,
+    and the power is the excess over 1: counted rays cost one addition.
 
     A patch's bin holds the rays that arrived there. With `deposits` it holds what
     `deposit` adds, and the rays are in the bins of their fates. Direct light is in the
@@ -191,7 +192,6 @@ class Sums:
         self.facets: Any = facets
         # all powers are whole numbers
         self.counted = setup.settings.estimator.counts
-        self.one = 1 if self.counted else ONE
         self.capacity = n_batches
         self.n_batches = n_batches = len(setup.classes) * n_batches
         estimator = setup.settings.estimator
@@ -200,6 +200,9 @@ class Sums:
         self.width = packet_width()
         self.levels = setup.levels
         self.bins = dr.zeros(mi.Int64, n_batches * setup.n_bins * self.width)
+        self.one = 1 if self.counted else ONE
+        if dr.width(self.bins) <= dr.expand_threshold():
+            self.one = 0
         n_rare = self.channels * n_batches * setup.n_bins
         self.rare = dr.zeros(mi.Int64, len(self.levels) * n_rare)
         # whether there was such a power, for each level
@@ -266,9 +269,8 @@ class Sums:
             for channel, d in enumerate(digits):
                 rare = active & collected & d.rare
                 self._add_rare(bins, channel, d, rare, batch, sign)
-        first, *others = numbers
-        packet = [first, *(one - first for one in others)]
-        packet = [1, *(dr.select(collected, number, 0) for number in packet)]
+        excesses = [numbers[0] - self.one, *(n - numbers[0] for n in numbers[1:])]
+        packet = [1, *(dr.select(collected, e, 0) for e in excesses)]
         packet += [0] * (self.width - len(packet))
         bins = bins + batch * self.setup.n_bins
         _scatter_add(self.bins, mi.ArrayXi64(packet), bins, active)
@@ -333,8 +335,10 @@ class Sums:
         shape: tuple[int, ...] = (*by_class, self.setup.n_bins, self.width)
         bins = self.bins.numpy().reshape(shape)[:, :n_batches, :, : 1 + self.channels]
         rays, flux = bins[..., 0], bins[..., 1:]
-        if self.channels > 1:
-            flux = np.concatenate([flux[..., :1], flux[..., 1:] + flux[..., :1]], -1)
+        # beyond 64 bits in between, but not in the end
+        if self.one or self.channels > 1:
+            flux = flux + (rays * self.one)[..., None]
+            flux[..., 1:] += bins[..., 1:2]
         numbers = {0 if self.counted else UNIT: flux}
         shape = len(self.levels), self.channels, *shape[:3]
         rare = np.moveaxis(self.rare.numpy().reshape(shape), 1, -1)

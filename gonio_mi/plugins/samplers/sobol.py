@@ -15,6 +15,7 @@ from gonio_mi.transport.morton import (
     PACKET,
     block_bits,
     chunk_lanes,
+    deciding_bits,
     leading_digits,
     sorting_tables,
 )
@@ -107,8 +108,9 @@ def _curve_table() -> mi.UInt32:
     return mi.UInt32(sorting_tables(*FOOTPRINT).ravel())
 
 
-# Of a word of :func:`curve_tables`, the bits that are no index: the next digits.
-NEXT_DIGITS = 30
+# Of a word of :func:`curve_tables`, the bits that are no index: what flips the next
+# digits.
+NEXT_DIGITS = 29
 
 
 def curve_tables(base: int, bits: int, keys: mi.UInt32, n: int) -> mi.UInt32:
@@ -117,8 +119,8 @@ def curve_tables(base: int, bits: int, keys: mi.UInt32, n: int) -> mi.UInt32:
     A place on the curve is a square or half of one, named by `bits` digits of the first
     two numbers. All but their scrambling, which here is undone, is linear over GF(2):
     the index is the exclusive or of one word for the digits of x, one for those of y,
-    and `base`. Above it stand the digits after the leading ones, one of each: in which
-    quarter of its place the point is.
+    and `base`. Above it stands whether the scrambling flips the digit after the leading
+    ones, and the one after that, if the former is 0 or 1 before.
 
     Parameters
     ----------
@@ -149,19 +151,12 @@ def curve_tables(base: int, bits: int, keys: mi.UInt32, n: int) -> mi.UInt32:
     for byte in range(4):
         at = (4 * whole + byte) * 256 + ((place >> 8 * byte) & 255)
         index = index ^ dr.gather(mi.UInt32, _curve_table(), at)
-    # a digit is flipped or not by what comes before it in its own coordinate
-    leading = dr.opaque(mi.UInt32, leading_digits(*FOOTPRINT, bits))
-    known = (leading + 1 - draw) >> 1
-    flipped = owen(plain & ((mi.UInt32(1) << known) - 1), word)
-    entries = index
-    for d in (0, 1):
-        x = sobol_any(index, mi.UInt32(d))
-        x = x ^ dr.select(draw == d, flipped ^ offset, mi.UInt32(0))
-        following = (x >> ((leading + 1 - d) >> 1)) & 1
-        # that of x first where both have as many digits
-        first = dr.select((leading & 1) == d, mi.UInt32(1), 0)
-        entries = entries | (following << (NEXT_DIGITS + first))
-    return entries
+    known = dr.opaque(mi.UInt32, leading_digits(*FOOTPRINT, bits)) + 1 - draw >> 1
+    one = mi.UInt32(1) << known
+    plain = plain & (one - 1)
+    # a digit is flipped or not by those before it in its own coordinate
+    after_0, after_1 = (owen(x, word) >> known for x in (plain, plain | one))
+    return index | (after_0 & 3) << NEXT_DIGITS | (after_1 >> 1) << (NEXT_DIGITS + 2)
 
 
 def _room(bits: int) -> int:
@@ -188,33 +183,51 @@ def on_curve(
 
     Returns
     -------
-    index, quarter : mi.UInt32
-        Of points, and from 0 to 3 along the curve, in which part of the place they are.
+    index, eighth : mi.UInt32
+        Of points, and in which part of their place they are, by its number along one
+        half of the place and back along the other: unlike on a Morton curve, parts that
+        follow each other touch, so that any points in a row are close.
     """
     whole, room = dr.opaque(mi.UInt32, bits), dr.opaque(mi.UInt32, _room(bits))
     digits = _mirrored(place, whole)
     row = sequence << (room + 1)
-    word = dr.gather(mi.UInt32, tables, row + _every_other(digits))
+    x = dr.gather(mi.UInt32, tables, row + _every_other(digits))
     row += mi.UInt32(1) << room
-    word = word ^ dr.gather(mi.UInt32, tables, row + _every_other(digits >> 1))
-    index = (word & ((mi.UInt32(1) << whole) - 1)) ^ dr.opaque(mi.UInt32, base)
-    return index, word >> NEXT_DIGITS
+    y = dr.gather(mi.UInt32, tables, row + _every_other(digits >> 1))
+    index = (x ^ y) & ((mi.UInt32(1) << whole) - 1)
+    index = index ^ dr.opaque(mi.UInt32, base)
+    leading = leading_digits(*FOOTPRINT, bits)
+    # a place is longer along y if x has one more digit
+    taller = dr.opaque(mi.Bool, leading % 2 == 1)
+    flips = x >> NEXT_DIGITS, y >> NEXT_DIGITS
+    across, along = dr.select(taller, *flips), dr.select(taller, *flips[::-1])
+    first, half, second = (_digit(index, leading + i) for i in range(3))
+    second ^= dr.select(first == 1, along >> 2, along >> 1)
+    quarter = 2 * (first ^ (along & 1)) + (second & 1)
+    half = (half ^ across) & 1
+    return index, (half << 2) + (quarter ^ 3 * half)
 
 
-def sorted_within(n: int, digit: mi.UInt32, *arrays: mi.UInt32) -> list[mi.UInt32]:
-    """Arrays, each `n` lanes of which are sorted by a digit from 0 to 3; stable.
+def _digit(index: mi.UInt32, number: int) -> mi.UInt32:
+    """A digit of the place, before it is scrambled, of points of the sequence."""
+    mask = dr.opaque(mi.UInt32, deciding_bits(*FOOTPRINT, number))
+    return dr.popcnt(index & mask) & 1
 
-    How often each digit occurs, less than 2**16 times, is counted in one number.
+
+def sorted_within(n: int, eighth: mi.UInt32, *arrays: mi.UInt32) -> list[mi.UInt32]:
+    """Arrays, each `n` lanes of which are sorted by a number from 0 to 7; stable.
+
+    Or for 256 lanes and more by half of it: how often each occurs, less than 2**16
+    times, is counted in one number.
     """
-    kind, width = (mi.UInt32, 8) if n < 2**8 else (mi.UInt64, 16)
-    below = sum(1 << width * digit for digit in (1, 2, 3))
-    place = kind(digit) * width
-    one = kind(1) << place
-    dr.eval(one, place, *arrays)
+    digit, width = (eighth, 8) if n < 2**8 else (eighth >> 1, 16)
+    below = sum(1 << place for place in range(width, 64, width))
+    one = mi.UInt64(1) << mi.UInt64(digit * width)
+    dr.eval(one, digit, *arrays)
     group, _ = apart(dr.arange(mi.UInt32, dr.width(one)), n)
-    smaller = dr.gather(kind, dr.block_sum(one, n) * below, group)
-    rank = (smaller + dr.block_prefix_sum(one, n)) >> place & (2**width - 1)
-    target = group * dr.opaque(mi.UInt32, n) + mi.UInt32(rank)
+    smaller = dr.gather(mi.UInt64, dr.block_sum(one, n) * below, group)
+    rank = (smaller + dr.block_prefix_sum(one, n)) >> mi.UInt64(digit * width)
+    target = group * dr.opaque(mi.UInt32, n) + (mi.UInt32(rank) & (2**width - 1))
     found = [dr.empty(mi.UInt32, dr.width(one)) for _ in arrays]
     for array, where in zip(arrays, found):
         dr.scatter(where, array, target, mode=dr.ReduceMode.Permute)
@@ -466,12 +479,12 @@ class Sobol(mi.Sampler):
         keys = dr.concat([self.keys, self.keys])
         base = self.start >> bits << bits
         tables = curve_tables(base, bits, keys, self.sequences)
-        index, quarter = on_curve(tables, place, sequence, base, bits)
+        index, eighth = on_curve(tables, place, sequence, base, bits)
         start, own = (dr.opaque(mi.UInt32, x) for x in (self.start, self.per_sequence))
         index = dr.select(step < dr.opaque(mi.UInt32, n), index, start + own)
         joined = together << bits - leading_digits(*FOOTPRINT, bits)
         if joined > 1:
-            index, sequence = sorted_within(joined, quarter, index, sequence)
+            index, sequence = sorted_within(joined, eighth, index, sequence)
         dr.eval(index, sequence)
         # few of nobody cost less than to leave them out
         if self.per_sequence < 7 << bits >> 3 or (together << bits) % chunk:

@@ -208,9 +208,10 @@ def test_scrambling_is_undone(sobol):
     [(0, 0), (0, 4), (0, 14), (0, 17), (7, 0), (8, 2), (2**20, 9), (2**32 - 2**12, 12)],
 )
 def test_the_curve_meets_each_point_once(sobol, base, bits):
-    """Exact, of any aligned block; along digits, with those of the quarter behind.
+    """Exact, of any aligned block: in the order of the leading digits of both numbers.
 
-    The last digits of some blocks depend on those before, and tell no points apart.
+    And the three digits behind tell the eighth of the place. The last digits of some
+    blocks depend on those before, and tell no points apart.
     """
     seeds = [1, 99]
     tables = sobol.curve_tables(base, bits, mi.UInt32(seeds), len(seeds))
@@ -218,24 +219,29 @@ def test_the_curve_meets_each_point_once(sobol, base, bits):
     leading = leading_digits(*sobol.FOOTPRINT, bits)
     assert leading == bits or bits in (4, 14, 17)
     for number, seed in enumerate(seeds):
-        index, quarter = sobol.on_curve(tables, place, mi.UInt32(number), base, bits)
+        index, eighth = sobol.on_curve(tables, place, mi.UInt32(number), base, bits)
         met = np.sort(index.numpy().astype(np.int64))
         assert np.array_equal(met, np.arange(base, base + 2**bits))
         x, y = (numbers(sobol, index.numpy(), seed, draw) for draw in (0, 1))
         digits = np.zeros(2**bits, np.int64)
-        for digit in range(leading + 2):
+        for digit in range(leading + 3):
             coordinate = (x, y)[digit % 2]
             digits = digits << 1 | (coordinate >> np.uint32(31 - digit // 2) & 1)
         wanted = place.numpy().astype(np.int64) >> (bits - leading)
-        assert np.array_equal(digits, wanted << 2 | quarter.numpy())
+        assert np.array_equal(digits >> 3, wanted)
+        # first, half, second: along one half of the place, and back along the other
+        way = np.array([[0, 1, 7, 6], [2, 3, 5, 4]]).ravel()
+        assert np.array_equal(way[digits & 7], eighth.numpy())
 
 
-def test_groups_are_sorted_by_a_digit(sobol):
-    """Exact, and stable, also in groups of no power of two."""
-    n, lane = 6, np.arange(6 * 50, dtype=np.uint32)
-    digit = np.random.default_rng(5).integers(4, size=lane.size, dtype=np.uint32)
+@pytest.mark.parametrize(("n", "shift"), [(6, 0), (255, 0), (256, 1), (300, 1)])
+def test_groups_are_sorted_by_a_digit(sobol, n, shift):
+    """Exact, and stable, also in groups of no power of two; of large ones by half."""
+    lane = np.arange(n * 50, dtype=np.uint32)
+    digit = np.random.default_rng(5).integers(8, size=lane.size, dtype=np.uint32)
+    digit[:n] = 7  # all in one group alike
     (found,) = sobol.sorted_within(n, mi.UInt32(digit), mi.UInt32(lane))
-    assert np.array_equal(found.numpy(), np.lexsort((lane, digit, lane // n)))
+    assert np.array_equal(found.numpy(), np.lexsort((lane, digit >> shift, lane // n)))
 
 
 @pytest.mark.parametrize(
