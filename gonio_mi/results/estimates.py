@@ -1,10 +1,13 @@
 """Estimates of flux fractions, with standard errors and intervals, by their kind."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntEnum
+from functools import partial
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..array_types import Counts, Flags, Floats, Numbers
 from ..settings.measurement_settings import BRANCHES
@@ -281,11 +284,13 @@ class SampledEstimates(Estimates):
         regime = np.where(self.dark(hemisphere), Regime.DARK, regime)
         missed = np.where(few, largest, weight) if self.deposited else weight
         heavy = np.where(rare, heavy, 0.0)
-        unlike = self._unlike_interval(fraction, scatter, missed, heavy, level)
+        limits_of = partial(self._unlike_interval, level)
+        unlike = _where(few | rare, limits_of, fraction, scatter, missed, heavy)
         above = weight if self.deposited else self._may_exceed(weight, hits)
         student = alike = self._student(fraction, scatter, weight, above, level)
         if not self.deposited:
-            low, high = statistics.binomial_interval(hits, self.rays, level)
+            limits_of = partial(statistics.binomial_interval, level=level)
+            low, high = _where(few, limits_of, hits, self.rays)
             alike = low * weight, high * weight
         weighs_one = self.tally.scale == 1 and not self.deposited
         dark = np.zeros(()), statistics.upper_limit(self.rays, level) * largest
@@ -342,7 +347,7 @@ class SampledEstimates(Estimates):
         if self.deposited:  # several of a ray, however many are as many as rays
             above = np.maximum(weight, 1 - weight)
         limits = self._student(value, std_err, weight, above, level)
-        unlike = self._unlike_interval(value, std_err, weight, heavy, level)
+        unlike = self._unlike_interval(level, value, std_err, weight, heavy)
         rare = self._rare(value, std_err, hits, heavy)
         wide = zip(_widened(limits, unlike), limits)
         low, high = (np.where(rare, *ends) for ends in wide)
@@ -353,11 +358,11 @@ class SampledEstimates(Estimates):
 
     def _unlike_interval(
         self,
+        level: float,
         value: Floats,
         scatter: Floats,
         missed: Floats | float,
         heavy: Floats,
-        level: float,
     ) -> tuple[Floats, Floats]:
         """Interval of a sum of few weights unlike each other; NaN where it is dark.
 
@@ -398,6 +403,15 @@ class SampledEstimates(Estimates):
         below = np.maximum(unseen * weight, rounding)
         above = np.where(above > 0, np.maximum(unseen * above, rounding), 0.0)
         return statistics.student_interval(value, std_err, n, level, below, above)
+
+
+def _where(
+    some: Flags, limits: Callable[..., tuple[Floats, Floats]], *arrays: ArrayLike
+) -> tuple[Floats, Floats]:
+    """Limits in some places, NaN elsewhere: quantiles take long."""
+    found = np.full((2, *some.shape), np.nan)
+    found[:, some] = limits(*(np.broadcast_to(x, some.shape)[some] for x in arrays))
+    return found[0], found[1]
 
 
 def _widened(

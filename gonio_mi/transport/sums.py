@@ -125,11 +125,11 @@ class Exact:
         """
         usual = {UNIT: self._words[UNIT]} if UNIT in self._words else self._words
         powers = _powers(usual, scale)
-        rare = [self._words[unit] for unit in self._words.keys() - usual.keys()]
-        if rare:  # most of these numbers are 0
-            some = reduce(
-                np.logical_or, (word for words in rare for word in words), False
-            )
+        some = np.zeros(powers.shape, bool)
+        for unit in self._words.keys() - usual.keys():
+            for word in self._words[unit]:
+                some |= word != 0
+        if some.any():  # few of them
             every = self._words.items()
             few = {unit: tuple(word[some] for word in words) for unit, words in every}
             powers[some] = _powers(few, scale)
