@@ -280,11 +280,13 @@ def sobol_known(index: mi.UInt32, draw: Any) -> mi.UInt32:
 
 def sobol_any(index: mi.UInt32, draw: Any) -> mi.UInt32:
     """Mirrored coordinate of a point, for any `draw` of a block."""
-    coordinate = mi.UInt32(0)
-    for byte in range(4):
-        entry = (4 * draw + byte) * 256 + ((index >> 8 * byte) & 255)
-        coordinate = coordinate ^ dr.gather(mi.UInt32, _byte_table(), entry)
-    return coordinate
+    return _product(_byte_table(), draw, index)
+
+
+def _product(tables: mi.UInt32, row: Any, x: mi.UInt32) -> mi.UInt32:
+    """Exclusive or of what each byte of `x` has in a row of tables."""
+    entries = ((4 * row + byte) * 256 + ((x >> 8 * byte) & 255) for byte in range(4))
+    return reduce(xor, (dr.gather(mi.UInt32, tables, entry) for entry in entries))
 
 
 def owen(x: mi.UInt32, key: mi.UInt32) -> mi.UInt32:
