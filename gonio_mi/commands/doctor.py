@@ -18,8 +18,8 @@ from ..campaigns.measure import measure_whole
 from ..errors import LLVMError, to_install
 from ..results.record import Record
 from ..transport.variants import parallel_variants
+from .arguments import DEFAULT_VARIANT, set_variant
 
-VARIANT = "llvm_ad_mono"
 REQUIRED = ("gonio-mi", "mitsuba", "drjit", "numpy", "scipy", "OpenEXR")
 OPTIONAL = {"matplotlib": "plot"}
 
@@ -100,10 +100,8 @@ def _package(name: str, extra: str = "") -> Row:
 def _self_test() -> Row:
     """Row on a white Lambertian plate, whose BRDF is 1 / pi in every patch."""
     try:
-        if not (mi.variant() or VARIANT).startswith("cuda"):
-            llvm.check()
         if mi.variant() is None:
-            mi.set_variant(VARIANT)
+            set_variant(DEFAULT_VARIANT)
         faults = _faults(_measure_white(), 1 / np.pi)
     except LLVMError as error:
         return Row("self-test", f"not run: {error}", False)

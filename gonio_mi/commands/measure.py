@@ -160,8 +160,7 @@ def _run(options: Namespace, orders: Sequence[str] = ()) -> int:
         files.check_output(path, files.ENDINGS)
     from ..transport.variants import parallel_variants
 
-    variants = parallel_variants()
-    specimen, parameters = specimen_of(options.specimen, options, variants)
+    specimen, parameters = specimen_of(options.specimen, options, parallel_variants())
     check_not_read(specimen, options.specimen, options.output)
     specimen = prepared_surface(specimen, options)
     if not options.quiet:
