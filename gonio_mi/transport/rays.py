@@ -250,8 +250,7 @@ class Encounter:
     def unless(self, earlier: mi.Bool) -> Encounter:
         """The same without the rays to which something happens `earlier`."""
         masks = ("missed", "endless", "self_hit", "back_face", "real", "crosses")
-        left = {name: getattr(self, name) & ~earlier for name in masks}
-        return replace(self, **left)
+        return replace(self, **{name: getattr(self, name) & ~earlier for name in masks})
 
 
 def encounter(
