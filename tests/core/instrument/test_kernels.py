@@ -11,6 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import plain_bsdf
 import pytest
+from specimens import OnGPU
 
 import gonio_mi as gonio
 from gonio_mi.campaigns import tasks
@@ -131,16 +132,6 @@ def test_threads_are_counted_when_nobody_changes_them(monkeypatch):
     with two_threads():
         assert seen
         assert not any(seen)
-
-
-class OnGPU:
-    """Mitsuba as a module finds it, but for the name of the variant."""
-
-    def variant(self):
-        return "cuda_ad_mono"
-
-    def __getattr__(self, name):
-        return getattr(mi, name)
 
 
 @pytest.mark.parametrize(
