@@ -69,8 +69,9 @@ def diagnose() -> tuple[list[Row], bool]:
         Whether all rows are in order.
     """
     status = llvm.status()
-    # on the CPU
-    variants = [name for name in parallel_variants() if name.startswith("llvm")]
+    both = dr.JitBackend.LLVM, dr.JitBackend.CUDA
+    usable = tuple(one.name.lower() for one in both if dr.has_backend(one))
+    variants = [name for name in parallel_variants() if name.startswith(usable)]
     rows = [
         Row("python", platform.python_version(), True),
         *(_package(name) for name in REQUIRED),
@@ -78,7 +79,7 @@ def diagnose() -> tuple[list[Row], bool]:
         Row("LLVM library", status.path or "unknown", status.usable),
         Row("LLVM version", llvm.dotted(status.version), status.usable),
         Row("LLVM verdict", status.reason, status.usable),
-        Row("variants", ", ".join(variants) or "none of llvm", bool(variants)),
+        Row("variants", ", ".join(variants) or "none", bool(variants)),
         Row("threads", str(dr.thread_count()), True),
         _self_test(),
     ]

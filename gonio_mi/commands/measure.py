@@ -295,8 +295,7 @@ class _CtrlC:
         return self
 
     def __exit__(self, *_: object) -> None:
-        after = signal.SIG_IGN if self.pressed else self._previous
-        answered_by(after, signal.SIGINT)
+        answered_by(signal.SIG_IGN if self.pressed else self._previous, signal.SIGINT)
 
     def _press(self, *_: object) -> None:
         if not (self.ignored or self.pressed):
