@@ -167,8 +167,7 @@ def through_side(
     for axis, leaves in ((0, t_x <= t_y), (1, t_x > t_y)):
         up, period = d[axis] > 0, box.period[axis]
         p[axis] = dr.select(leaves, dr.select(up, low[axis], high[axis]), p[axis])
-        jump = dr.select(up, period, -period)
-        step[axis] = dr.select(leaves, jump, 0.0)
+        step[axis] = dr.select(leaves, dr.select(up, period, -period), 0.0)
     return p, step, t < t_z
 
 

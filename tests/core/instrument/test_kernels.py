@@ -135,15 +135,23 @@ def test_threads_are_counted_when_nobody_changes_them(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("others", "on", "parked"),
-    [([], mi, 1), ([WATCH], mi, 1), (["own"], mi, 0), ([], OnGPU(), 0)],
+    ("others", "on", "n", "parked"),
+    [
+        ([], mi, 2, 1),
+        ([WATCH], mi, 8, 1),
+        (["own"], mi, 2, 0),
+        ([], OnGPU(), 2, 0),
+        ([], mi, 64, 0),
+    ],
 )
-def test_threads_sleep_once_the_kernel_ran(monkeypatch, others, on, parked):
+def test_threads_sleep_once_the_kernel_ran(monkeypatch, others, on, n, parked):
     """New ones do; those that others of Python's may need are left as they are.
 
-    So are all if a GPU ran it: to end 64 and make them takes 5 ms, as long as a launch.
+    So are all if a GPU ran it, and many: to end 64 and make them takes 5 ms, as long as
+    a launch.
     """
     changes, threads = [], [Thread(name=name) for name in ("this", *others)]
+    monkeypatch.setattr(dr, "thread_count", lambda: n)
     monkeypatch.setattr(dr, "set_thread_count", changes.append)
     monkeypatch.setattr(threading, "enumerate", lambda: threads)
     monkeypatch.setattr(launch, "mi", on)
