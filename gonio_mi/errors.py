@@ -153,8 +153,8 @@ class FileFormatError(SettingError):
     """A file that is not one of ours, is damaged, or is of an unknown version."""
 
 
-# How Mitsuba begins what it says when a plugin gives up.
-_MITSUBA = re.compile(r"\[\w+\.(cpp|h):\d+\]")
+# How Mitsuba begins what it says when a plugin gives up, and Dr.Jit where memory ends.
+_MITSUBA = re.compile(r"\[\w+\.(cpp|h):\d+\]|jit_malloc\(\): out of memory")
 
 # Lines of a traceback in a text, with the first file, and the class of its error.
 _TRACED = re.compile(r'^  File "(.+)", .*\n(?:  .*\n)*(?:\w+\.)*(\w+)', re.MULTILINE)

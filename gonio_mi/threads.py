@@ -35,8 +35,8 @@ def thread_count(n: int | None) -> Iterator[None]:
 def park_threads() -> None:
     """Let Dr.Jit's threads sleep, unless others of Python's might need them just then.
 
-    Idle ones spin for 20 ms after a kernel; new ones sleep until there is work, and are
-    made in a twentieth of a millisecond.
+    Idle ones spin for 20 ms after a kernel; new ones sleep until there is work. To end
+    one and make it anew takes up to 80 microseconds.
     """
     if sum(one.name != WATCH for one in threading.enumerate()) == 1:
         with thread_count(1):

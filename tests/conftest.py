@@ -2,6 +2,8 @@
 
 ``GONIO_LLVM_TARGET=x86-64-v3:8 pytest`` runs them as on a processor of that kind, with
 vectors of 8 numbers (AVX2). Dr.Jit needs fused products, hence no less than that.
+``GONIO_BACKEND=cuda pytest tests/core`` runs them on a GPU, but for those that name a
+variant of their own; some ask for LLVM's last bits.
 """
 
 import gonio_mi  # noqa: F401
@@ -120,8 +122,9 @@ def threads(request):
 
 
 # The variants by the names of their fixtures.
-VARIANTS = {name: f"llvm_ad_{name}" for name in ("mono", "rgb", "spectral")}
-POLARISED = "llvm_ad_mono_polarized"
+BACKEND = os.environ.get("GONIO_BACKEND", "llvm")
+VARIANTS = {name: f"{BACKEND}_ad_{name}" for name in ("mono", "rgb", "spectral")}
+POLARISED = f"{BACKEND}_ad_mono_polarized"
 
 
 def _transformed_once(syntax):

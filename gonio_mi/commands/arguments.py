@@ -28,6 +28,7 @@ from .file_kinds import check_kind
 
 if TYPE_CHECKING:
     from ..files.measured_table import MeasuredTable
+    from ..results.record import Record
 
 DONE, USER_ERROR, INCOMPLETE, FAILED, UNDECIDED = 0, 1, 2, 3, 4
 
@@ -204,11 +205,20 @@ def specimen_of(
     return specimen, dict(options.parameters)
 
 
-def variant_for(channel: str | None) -> str:
-    """The default variant for values of a channel: spectral for a wavelength."""
-    from ..results.record import wavelengths_nm  # slow to import: SciPy
+def variant_of(values: Record | MeasuredTable) -> str:
+    """Variant in which others are compared with a record's values, or a table's.
 
-    is_wavelength = wavelengths_nm([channel or ""]) is not None
+    A record's own, or LLVM's of the same colours if that needs a GPU and there is none;
+    of a table the default one, spectral for a wavelength.
+    """
+    from drjit import JitBackend, has_backend
+
+    from ..results.record import Record, wavelengths_nm  # slow to import: SciPy
+
+    if isinstance(values, Record):
+        own = values.provenance.variant or DEFAULT_VARIANT
+        return own if has_backend(JitBackend.CUDA) else own.replace("cuda", "llvm")
+    is_wavelength = wavelengths_nm([values.channel or ""]) is not None
     return "llvm_ad_spectral" if is_wavelength else DEFAULT_VARIANT
 
 
@@ -252,10 +262,9 @@ def number(text: str) -> float:
 
 def _number_or_word(text: str) -> float | str:
     """Float, or the text as it is."""
-    try:
+    with contextlib.suppress(ValueError):
         return float(text)
-    except ValueError:
-        return text
+    return text
 
 
 def pair(text: str) -> tuple[str, str]:

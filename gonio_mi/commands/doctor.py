@@ -18,8 +18,8 @@ from ..campaigns.measure import measure_whole
 from ..errors import LLVMError, to_install
 from ..results.record import Record
 from ..transport.variants import parallel_variants
+from .arguments import DEFAULT_VARIANT, set_variant
 
-VARIANT = "llvm_ad_mono"
 REQUIRED = ("gonio-mi", "mitsuba", "drjit", "numpy", "scipy", "OpenEXR")
 OPTIONAL = {"matplotlib": "plot"}
 
@@ -69,8 +69,9 @@ def diagnose() -> tuple[list[Row], bool]:
         Whether all rows are in order.
     """
     status = llvm.status()
-    # on the CPU
-    variants = [name for name in parallel_variants() if name.startswith("llvm")]
+    both = dr.JitBackend.LLVM, dr.JitBackend.CUDA
+    usable = tuple(one.name.lower() for one in both if dr.has_backend(one))
+    variants = [name for name in parallel_variants() if name.startswith(usable)]
     rows = [
         Row("python", platform.python_version(), True),
         *(_package(name) for name in REQUIRED),
@@ -78,7 +79,7 @@ def diagnose() -> tuple[list[Row], bool]:
         Row("LLVM library", status.path or "unknown", status.usable),
         Row("LLVM version", llvm.dotted(status.version), status.usable),
         Row("LLVM verdict", status.reason, status.usable),
-        Row("variants", ", ".join(variants) or "none of llvm", bool(variants)),
+        Row("variants", ", ".join(variants) or "none", bool(variants)),
         Row("threads", str(dr.thread_count()), True),
         _self_test(),
     ]
@@ -100,10 +101,8 @@ def _package(name: str, extra: str = "") -> Row:
 def _self_test() -> Row:
     """Row on a white Lambertian plate, whose BRDF is 1 / pi in every patch."""
     try:
-        if not (mi.variant() or VARIANT).startswith("cuda"):
-            llvm.check()
         if mi.variant() is None:
-            mi.set_variant(VARIANT)
+            set_variant(DEFAULT_VARIANT)
         faults = _faults(_measure_white(), 1 / np.pi)
     except LLVMError as error:
         return Row("self-test", f"not run: {error}", False)

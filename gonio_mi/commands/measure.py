@@ -160,8 +160,7 @@ def _run(options: Namespace, orders: Sequence[str] = ()) -> int:
         files.check_output(path, files.ENDINGS)
     from ..transport.variants import parallel_variants
 
-    variants = parallel_variants()
-    specimen, parameters = specimen_of(options.specimen, options, variants)
+    specimen, parameters = specimen_of(options.specimen, options, parallel_variants())
     check_not_read(specimen, options.specimen, options.output)
     specimen = prepared_surface(specimen, options)
     if not options.quiet:
@@ -296,8 +295,7 @@ class _CtrlC:
         return self
 
     def __exit__(self, *_: object) -> None:
-        after = signal.SIG_IGN if self.pressed else self._previous
-        answered_by(after, signal.SIGINT)
+        answered_by(signal.SIG_IGN if self.pressed else self._previous, signal.SIGINT)
 
     def _press(self, *_: object) -> None:
         if not (self.ignored or self.pressed):

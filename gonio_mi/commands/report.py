@@ -27,6 +27,5 @@ def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
     from ..reports import report  # plotly is an extra, and large
 
-    records = [record_of(one) for one in options.records]
-    report(records, options.output, progress=True)
+    report([record_of(one) for one in options.records], options.output, progress=True)
     return DONE

@@ -181,6 +181,8 @@ def _scene(specimen: Any, parameters: dict[str, Any] | None, period: Any) -> Any
                 "known by the ending .asc, and measured values go to gonio-mi compare "
                 "or fit"
             )
+    # built as the specimen will be: with an option for Embree, which OptiX does without
+    built = isinstance(specimen, dict) or not mi.variant().startswith("llvm")
     if isinstance(specimen, (str, os.PathLike)):
         parameters = {k: str(v) for k, v in (parameters or {}).items()}
         check_named_files(path, parameters)
@@ -195,9 +197,9 @@ def _scene(specimen: Any, parameters: dict[str, Any] | None, period: Any) -> Any
         if specimen.get("type") == "scene":
             specimen = specimen | WATERTIGHT
         specimen = loaded("the specimen", mi.load_dict, specimen, optimize=False)
-        if isinstance(specimen, mi.Scene):
-            remember(specimen)  # built as the specimen will be
     if isinstance(specimen, mi.Scene):
+        if built:
+            remember(specimen)
         return specimen
     if isinstance(specimen, mi.BSDF):
         specimen = mi.load_dict({"type": "rectangle", "bsdf": specimen})

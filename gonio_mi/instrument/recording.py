@@ -148,8 +148,7 @@ def _records(
         _warn_of_created_light(record)
     if resume is not None:
         (record,) = records
-        parts = resume.provenance, record.provenance
-        provenance = record.provenance.joined(parts)
+        provenance = record.provenance.joined((resume.provenance, record.provenance))
         records = [replace(record, provenance=provenance)]
     if target := Target.of(setups[0].settings):
         records = [records[0].with_provenance(**target.reached(records[0]))]

@@ -165,8 +165,7 @@ class Target:
         goal = settings.noise or settings.precision
         if goal is None or settings.estimator.integrates:
             return None
-        of_noise = settings.noise is not None
-        return cls(goal, of_noise, settings.max_rays, settings.floor)
+        return cls(goal, settings.noise is not None, settings.max_rays, settings.floor)
 
     @property
     def name(self) -> str:

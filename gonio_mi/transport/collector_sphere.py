@@ -89,5 +89,4 @@ class CollectorSphere:
             return u, mi.Float(1)
         path = self.radius * u - p
         wo = dr.normalize(path)
-        cosine = dr.maximum(dr.dot(u, wo), 0)
-        return wo, self.radius**2 * cosine / dr.squared_norm(path)
+        return wo, self.radius**2 * dr.maximum(dr.dot(u, wo), 0) / dr.squared_norm(path)

@@ -28,6 +28,10 @@ from .surface_loop import PathSettings, scatter_plane, trace
 # Tells the random numbers of the branches of a ray from its own.
 BRANCHED = 0x62726E63
 
+# Threads that are put to sleep after a launch, at most: for more that takes as long as
+# their launches.
+MAX_PARKED = 8
+
 
 @dataclass(frozen=True, eq=False)
 class Launch:
@@ -118,7 +122,9 @@ def launch(one: Launch) -> Totals:
             break
         # fainter or brighter light than there was room for: once more, with room for it
         setup.levels = sums.lacking
-    park_threads()
+    # a GPU's kernels leave them asleep
+    if mi.variant().startswith("llvm") and dr.thread_count() <= MAX_PARKED:
+        park_threads()
     return sums.totals(len(sizes))
 
 

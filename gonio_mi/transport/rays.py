@@ -167,8 +167,7 @@ def through_side(
     for axis, leaves in ((0, t_x <= t_y), (1, t_x > t_y)):
         up, period = d[axis] > 0, box.period[axis]
         p[axis] = dr.select(leaves, dr.select(up, low[axis], high[axis]), p[axis])
-        jump = dr.select(up, period, -period)
-        step[axis] = dr.select(leaves, jump, 0.0)
+        step[axis] = dr.select(leaves, dr.select(up, period, -period), 0.0)
     return p, step, t < t_z
 
 
@@ -250,8 +249,7 @@ class Encounter:
     def unless(self, earlier: mi.Bool) -> Encounter:
         """The same without the rays to which something happens `earlier`."""
         masks = ("missed", "endless", "self_hit", "back_face", "real", "crosses")
-        left = {name: getattr(self, name) & ~earlier for name in masks}
-        return replace(self, **left)
+        return replace(self, **{name: getattr(self, name) & ~earlier for name in masks})
 
 
 def encounter(

@@ -40,11 +40,12 @@ def sampler_name(sampler: mi.Sampler) -> str:
 MAX_TURNS = 16
 MIN_LANES = 2**16
 
-# The same of a relay, whose rays may be a thousand times as long as others; and lanes
-# of each thread, of samplers whose numbers are the same in any lane.
+# The same of a relay, whose rays may be a thousand times as long as others; and of
+# samplers whose numbers are the same in any lane, lanes of each thread, or as if a GPU
+# had so many: the largest hold 2**18 lanes at once.
 MAX_RELAY_TURNS = 2**10
 MIN_RELAY_LANES = 2**10
-MIN_LANES_PER_THREAD = 2**7
+MIN_LANES_PER_THREAD, GPU_THREADS = 2**7, 2**10
 
 
 def is_joint(sampler: mi.Sampler) -> bool:
@@ -175,7 +176,8 @@ def rays_per_lane(sampler: mi.Sampler, rays: int) -> int:
     """Rays that a lane of a relay sends one after the other, of so many in all."""
     fewest = MIN_RELAY_LANES
     if is_joint(sampler):
-        fewest = MIN_LANES_PER_THREAD * dr.thread_count()
+        on_cpu = mi.variant().startswith("llvm")
+        fewest = MIN_LANES_PER_THREAD * (dr.thread_count() if on_cpu else GPU_THREADS)
     elif not continues(sampler):
         return 1
     return max(1, min(MAX_RELAY_TURNS, rays // fewest))

@@ -79,9 +79,10 @@ def forget() -> None:
 
 
 def remember(scene: mi.Scene) -> None:
-    """Let :func:`scene_of` find a scene that was loaded with `WATERTIGHT`.
+    """Let :func:`scene_of` find a scene that was loaded with `WATERTIGHT`, or on a GPU.
 
-    Its emitters may be no shapes; else the specimen is built without them.
+    Its emitters may be no shapes; else the specimen is built without them. On a GPU
+    Mitsuba 3.9.1 crashes where instances of a group are in a second scene.
     """
     shapes = [*groups_of(scene), *scene.shapes()]
     _last[:] = shapes, geometry_hash(shapes), scene

@@ -965,6 +965,15 @@ def test_bugs_of_ours_are_reported(report_of_bug, break_measure, fault):
     assert "Traceback (most recent call last)" in report
 
 
+def test_a_full_memory_is_no_bug(refuse, break_measure):
+    """Of a GPU, or of the machine: Dr.Jit's words, where Python has a MemoryError."""
+    text = "jit_malloc(): out of memory! Could not allocate 8 bytes (backend=CUDA, "
+    break_measure(f"(_ for _ in ()).throw(RuntimeError({text!r}))")
+    message = refuse(*QUICK)
+    assert text.strip() in message
+    assert "this is a bug of" not in message
+
+
 def test_bugs_are_shown_where_no_file_can_be(run, break_measure, monkeypatch, tmp_path):
     break_measure(FAULTS[0])
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "absent"))

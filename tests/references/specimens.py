@@ -24,6 +24,16 @@ MIRROR = both_sided({"type": "conductor"})
 GREY = both_sided({"type": "diffuse", "reflectance": 0.8})
 
 
+class OnGPU:
+    """Mitsuba as a module finds it, but for the name of the variant."""
+
+    def variant(self):
+        return "cuda_ad_mono"
+
+    def __getattr__(self, name):
+        return getattr(mi, name)
+
+
 @dataclass
 class Rays:
     """What became of each ray, as NumPy arrays."""

@@ -29,7 +29,6 @@ from typing import Any
 
 from ... import files
 from ...commands.arguments import (
-    DEFAULT_VARIANT,
     DONE,
     FAILED,
     INCOMPLETE,
@@ -48,7 +47,7 @@ from ...commands.arguments import (
     table_of,
     tell,
     tell_json,
-    variant_for,
+    variant_of,
 )
 from ...commands.file_kinds import is_table, record_of
 from ...errors import OpenQuestionsError, SettingError, check_nothing_open
@@ -188,12 +187,11 @@ def _record_and_specimen(options: Namespace, other: Any) -> tuple[Any, Any, Any]
             raise SettingError(
                 f"RECORD must be an .exr or .npz file if OTHER is one, got {word}"
             )
-        options.variant = options.variant or variant_for(other.channel)
+        options.variant = options.variant or variant_of(other)
         return None, *specimen_of(word, options)
     if other is None:
         record = record_of(word)
-        own = record.provenance.variant or DEFAULT_VARIANT
-        options.variant = options.variant or own
+        options.variant = options.variant or variant_of(record)
         return record, *specimen_of(options.other, options)
     check_not_measured(
         f"the record {word}", options, ("aperture_half_angle", *MEASURED)

@@ -45,7 +45,7 @@ from ...commands.arguments import (
     table_of,
     tell,
     tell_json,
-    variant_for,
+    variant_of,
 )
 from ...commands.file_kinds import record_of
 from ...errors import SettingError
@@ -125,8 +125,7 @@ def run(options: Namespace) -> int:
     else:
         check_not_measured(word, options, ("variant", *MEASURED))
         record = table_of(word, options) if is_table else record_of(word)
-        own = variant_for(record.channel) if is_table else record.provenance.variant
-        set_variant(own or DEFAULT_VARIANT)
+        set_variant(variant_of(record))
         for path in options.plugin:
             load_plugin_file(path)
     fits = []

@@ -20,6 +20,7 @@ from gonio_mi.analysis.fitting.observations import pooled
 from gonio_mi.analysis.fitting.predictions import INTEGRAL_ERR
 from gonio_mi.cli import main
 from gonio_mi.collector.directions import direction
+from gonio_mi.commands.arguments import variant_of
 from gonio_mi.errors import SettingError, SpecimenError
 from gonio_mi.files.measured_table import MeasuredTable
 from gonio_mi.instrument.specimen_text import parse_specimen
@@ -551,6 +552,22 @@ def test_command(tmp_path, capfd):
     assert "--quantity applies to tables" in capfd.readouterr().err
     assert main(["fit", str(tmp_path / "a.npz"), "scenes/lambertian.xml"]) == 1
     assert "must be a BSDF with a type" in capfd.readouterr().err
+
+
+def test_records_of_a_gpu_are_understood_without_one(tmp_path, capfd, monkeypatch):
+    """In LLVM's variant of the same colours; twin: in its own, if there is a GPU."""
+    record, path = measured(METAL), str(tmp_path / "a.npz")
+    record = record.with_provenance(variant="cuda_ad_mono")
+    record.save(path)
+    monkeypatch.setattr(dr, "has_backend", lambda _: False)
+    assert main(["fit", path, "roughconductor:distribution=ggx"]) == 0
+    same = "roughconductor:material=none,distribution=ggx,alpha=0.3"
+    same += ",specular_reflectance=0.8"
+    assert main(["compare", path, same]) == 0
+    assert "verdict     agree" in capfd.readouterr().out
+    assert variant_of(record) == "llvm_ad_mono"
+    monkeypatch.setattr(dr, "has_backend", lambda _: True)
+    assert variant_of(record) == "cuda_ad_mono"
 
 
 SHINY = "principled:roughness=0.5,metallic=1,base_color=1"

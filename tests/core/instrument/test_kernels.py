@@ -11,6 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import plain_bsdf
 import pytest
+from specimens import OnGPU
 
 import gonio_mi as gonio
 from gonio_mi.campaigns import tasks
@@ -22,7 +23,9 @@ from gonio_mi.instrument import launcher
 from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.progress import WATCH
 from gonio_mi.threads import drjit_lock, thread_count, two_threads
+from gonio_mi.transport import launch, sampling
 from gonio_mi.transport.kernels import check_all_counted, launches_kernels
+from gonio_mi.transport.sampling import rays_per_lane
 
 PLATE = {"type": "diffuse", "reflectance": 0.7}
 SMALL = {"rays": 2000, "batches": 2, "collector": "projected:3x4"}
@@ -131,14 +134,40 @@ def test_threads_are_counted_when_nobody_changes_them(monkeypatch):
         assert not any(seen)
 
 
-@pytest.mark.parametrize(("others", "parked"), [([], 1), ([WATCH], 1), (["own"], 0)])
-def test_threads_sleep_once_the_kernel_ran(monkeypatch, others, parked):
-    """New ones do; those that others of Python's may need are left as they are."""
+@pytest.mark.parametrize(
+    ("others", "on", "n", "parked"),
+    [
+        ([], mi, 2, 1),
+        ([WATCH], mi, 8, 1),
+        (["own"], mi, 2, 0),
+        ([], OnGPU(), 2, 0),
+        ([], mi, 64, 0),
+    ],
+)
+def test_threads_sleep_once_the_kernel_ran(monkeypatch, others, on, n, parked):
+    """New ones do; those that others of Python's may need are left as they are.
+
+    So are all if a GPU ran it, and many: to end 64 and make them takes 5 ms, as long as
+    a launch.
+    """
     changes, threads = [], [Thread(name=name) for name in ("this", *others)]
+    monkeypatch.setattr(dr, "thread_count", lambda: n)
     monkeypatch.setattr(dr, "set_thread_count", changes.append)
     monkeypatch.setattr(threading, "enumerate", lambda: threads)
+    monkeypatch.setattr(launch, "mi", on)
     gonio.measure(PLATE, 30, **SMALL)
     assert changes.count(1) == parked
+
+
+def test_a_gpu_has_lanes_enough(monkeypatch):
+    """Exact: many in media too, whatever the threads; rays have the same bits."""
+    scene = mi.load_file("scenes/milk_glass.xml")
+    usual = gonio.measure(scene, 30, **SMALL).tallies
+    sobol = mi.load_dict({"type": "sobol"})
+    assert rays_per_lane(sobol, 2**20) > 2**9
+    monkeypatch.setattr(sampling, "mi", OnGPU())
+    assert rays_per_lane(sobol, 2**20) == 2**3
+    assert gonio.measure(scene, 30, **SMALL).tallies == usual
 
 
 def test_ctrl_c_leaves_as_many_threads_as_there_were(monkeypatch):

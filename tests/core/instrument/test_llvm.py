@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -20,6 +21,10 @@ import pytest
 from gonio_mi import llvm
 from gonio_mi.commands import doctor
 from gonio_mi.errors import LLVMError
+from gonio_mi.transport.variants import parallel_variants
+
+# isort: split
+import drjit as dr
 
 VARIABLE = "DRJIT_LIBLLVM_PATH"
 # those that Dr.Jit accepts and that abort the process
@@ -326,6 +331,15 @@ def test_doctor_finds_this_machine_able(capsys):
     assert code == 0, "\n".join(lines)
     assert len(lines) == len(doctor.diagnose()[0]) + 1
     assert lines[-1] == "this machine is able to measure"
+
+
+def test_doctor_names_the_variants_of_a_gpu_that_is_there(monkeypatch):
+    for kinds in ("llvm",), ("llvm", "cuda"):
+        there = partial(lambda kinds, one: one.name.lower() in kinds, kinds)
+        monkeypatch.setattr(dr, "has_backend", there)
+        rows = {row.name: row.value for row in doctor.diagnose()[0]}
+        known = [one for one in parallel_variants() if one.startswith(kinds)]
+        assert rows["variants"] == ", ".join(known)
 
 
 def test_doctor_says_what_is_missing(monkeypatch):

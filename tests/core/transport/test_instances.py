@@ -4,9 +4,11 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from budget import agree, disagree, of_total
-from specimens import diffuse_groove_dhr
+from specimens import OnGPU, diffuse_groove_dhr
 
 import gonio_mi as gonio
+from gonio_mi.instrument import loading
+from gonio_mi.transport.specimen import Specimen
 
 HALF_ANGLE = 30.0
 
@@ -30,6 +32,13 @@ def instances(shapes, transforms):
             "group": {"type": "ref", "id": "group"},
         }
     return scene
+
+
+BALLS = """<scene version="3.0.0">
+    <shape type="shapegroup" id="group"><shape type="sphere"/></shape>
+    <shape type="instance"><ref id="group"/></shape>
+    <emitter type="directional"/>
+</scene>"""
 
 
 def square(**bsdf):
@@ -81,6 +90,18 @@ def test_same_geometry_other_group():
     again = gonio.measure(scene, **common)
     assert first.dhr == again.dhr
     assert other.dhr < 0.5 * first.dhr
+
+
+def test_a_scene_is_built_once_on_a_gpu(tmp_path, monkeypatch):
+    """Of files too: a group in a second scene would crash there; twin: with Embree."""
+    path = tmp_path / "balls.xml"
+    path.write_text(BALLS)
+    scene = loading.load_specimen(path)
+    assert Specimen(scene).scene is not scene
+    monkeypatch.setattr(loading, "mi", OnGPU())
+    for specimen in (path, mi.load_file(str(path))):
+        scene = loading.load_specimen(specimen)
+        assert Specimen(scene).scene is scene
 
 
 def test_instance_without_a_scene():
