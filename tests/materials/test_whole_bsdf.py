@@ -546,6 +546,7 @@ def test_rays_are_taken_where_a_late_integral_is_refused(monkeypatch):
     assert all(record[number].ledger.emitted for number in range(len(record)))
 
 
+@pytest.mark.usefixtures("few_unseen")
 def test_the_progress_bar_is_of_the_whole_campaign(monkeypatch):
     """Rounds go on where the last one ended, to what is expected of all of them."""
     bars = []
@@ -568,7 +569,7 @@ def test_the_progress_bar_is_of_the_whole_campaign(monkeypatch):
     assert [one[0] for one in later] == [first[1], *(one[1] for one in later[:-1])]
     for begun, ended, total in later:
         assert begun < ended <= total
-        assert total >= N_COARSE[0] + N_UNSEEN
+        assert total >= N_COARSE[0] + whole_bsdf.N_UNSEEN
     assert bars[-1][1] == bars[-1][2] == record.provenance.campaign.measured
 
 
