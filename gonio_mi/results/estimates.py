@@ -298,7 +298,7 @@ class SampledEstimates(Estimates):
         }
         those = [regime == one for one in limits]
         lows, highs = zip(*limits.values())
-        return np.select(those, lows), np.select(those, highs)
+        return np.maximum(np.select(those, lows), 0.0), np.select(those, highs)
 
     def _few(self, value: Floats, scatter: Floats, hits: Counts) -> Flags:
         """Whether there are hits, but too few or too unlike ones for Student's t."""
