@@ -48,13 +48,14 @@ def close(found, expected):
 
 
 def student(estimates, patch):
-    """Interval by Student's t of one patch, with what no hit leaves open."""
+    """Interval by Student's t of one patch, with what no hit leaves open; from 0 on."""
     sums = estimates.tally.sums[:, 0, 0, patch]
     weight = estimates.fraction(0)[0, patch] * 2 * RAYS / sum(HITS[patch])
     unseen = statistics.upper_limit(2 * RAYS, LEVEL) * weight
     std_err = statistics.batch_std_err(sums, estimates.tally.incident)
     value = estimates.fraction(0)[0, patch]
-    return statistics.student_interval(value, std_err, 2, LEVEL, unseen, unseen)
+    ends = statistics.student_interval(value, std_err, 2, LEVEL, unseen, unseen)
+    return np.maximum(ends, 0.0)
 
 
 def test_values_and_standard_errors():
