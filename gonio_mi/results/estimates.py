@@ -280,6 +280,10 @@ class SampledEstimates(Estimates):
         regime = Regime.FEW * few + Regime.RARE * rare
         regime = np.where(self.dark(hemisphere), Regime.DARK, regime)
         missed = np.where(few, largest, weight) if self.deposited else weight
+        if not self.deposited and np.any(self.tally.incident % self.tally.scale):
+            # light of unlike power: of any patch, the mean square of what it received
+            square = np.nanmax(scatter**2 / fraction, axis=(0, 1), initial=0.0)
+            missed = np.fmax(weight, square * self.rays)
         heavy = np.where(rare, heavy, 0.0)
         unlike = self._unlike_interval(fraction, scatter, missed, heavy, level)
         above = weight if self.deposited else self._may_exceed(weight, hits)

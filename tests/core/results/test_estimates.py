@@ -95,6 +95,23 @@ def test_few_hits_have_exact_intervals(independent, by_student):
     close(high[4], statistics.upper_limit(2 * RAYS, LEVEL))
 
 
+def test_few_hits_of_unlike_power_may_miss_one_of_another_patch():
+    """Its mean square power, of the patch where that is most. Twin: a uniform beam."""
+    uniform = tally()
+    uneven = replace(uniform, incident=uniform.incident + np.uint64(1))
+    for each, pooled in ((uneven, True), (uniform, False)):
+        one = SampledEstimates(each, independent=False)
+        value, std_err = one.fraction(0)[0, :4, 0], one.std_err(0)[0, :4, 0]
+        squares = std_err**2 / value
+        missed = max(squares) if pooled else max(squares[3], 0.5 / (2 * RAYS))
+        assert max(squares) > 1.1 * max(squares[3], 0.5 / (2 * RAYS))
+        high = one.interval(0, LEVEL)[1][0, 3, 0]
+        alike = 0.5 * statistics.binomial_interval(sum(HITS[3]), 2 * RAYS, LEVEL)[1]
+        other = statistics.gamma_interval(value[3], std_err[3], missed, LEVEL)[1]
+        assert (other > alike) == pooled
+        close(high, max(alike, other))
+
+
 def test_few_deposits_have_the_limits_of_weighted_counts():
     """At least: where Student's t of the two batches is wider, it stays."""
     hits = (*HITS, (150, 151))
