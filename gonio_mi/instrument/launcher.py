@@ -18,8 +18,8 @@ from ..transport.sums import n_numbers
 from ..transport.wavelengths import wavelength_lanes
 from .schedule import Round, Target
 
-# Rays per kernel launch, at most. For samplers other than `sobol` it takes part in the
-# seeding: a change of it changes the random numbers.
+# Rays per kernel launch, at most, and points or branches. For samplers other than
+# `sobol` it takes part in the seeding: a change of it changes the random numbers.
 MAX_LAUNCH = 2**24
 
 # Rays of the batches that share a launch on a plane, and of any launch along a curve:
@@ -84,11 +84,12 @@ class Launcher:
     """
 
     def __init__(self, setups: Sequence[Setup]) -> None:
-        setup = setups[0]
-        settings = setup.settings
+        setup, settings = setups[0], setups[0].settings
         traced = traces(setup)
         first = min(FIRST_TRACED, FIRST_POINTS // settings.n_looks)
         self.size = LaunchSize(first if traced else FIRST_PLANE)
+        # else what all points or branches of a launch add to a patch may overflow
+        self.most = MAX_LAUNCH // settings.n_looks
         # whether numbers are the same however launches share them, and whether rays
         # start side by side on the specimen
         self.divisible = is_joint(setup.sampler)
@@ -203,9 +204,9 @@ class Launcher:
         start, sizes = whole.begin, whole.sizes
         begin, end = start, start + sizes[0]
         while begin < end:
-            n = min(MAX_LAUNCH, end - begin)
+            n = min(self.most, end - begin)
             if self.divisible:
-                n = self.size.next_part(begin, end, MAX_LAUNCH)
+                n = self.size.next_part(begin, end, self.most)
             parts = tuple(min(n, start + size - begin) for size in sizes)
             yield replace(whole, sizes=parts, begin=begin)
             begin += n
@@ -214,13 +215,13 @@ class Launcher:
         """Launches that each go on where the one before ended."""
         start, sizes, walks = whole.begin, whole.sizes, whole.n_directions
         together = len(sizes) // walks
-        chunk = chunk_lanes(together)
+        chunk, most_rays = chunk_lanes(together), min(FUSED_RAYS, self.most)
         most = 2**29 >> (together - 1).bit_length()  # places have 29 bits
         for begin, end in segments(start, start + sizes[0], most):
             parts = tuple(min(end, start + size) - begin for size in sizes)
             at, length = 0, together << block_bits(begin, end - begin)
             while at < length:
-                n = self.size.next_part(walks * at, walks * length, FUSED_RAYS) // walks
+                n = self.size.next_part(walks * at, walks * length, most_rays) // walks
                 there = min(at + -(-max(1, n) // chunk) * chunk, length)
                 yield replace(whole, sizes=parts, begin=begin, stretch=(at, there))
                 at = there

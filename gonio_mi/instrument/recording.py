@@ -95,8 +95,8 @@ def _check_ledger(ledger: Ledger, setup: Setup) -> None:
         near = " or the emitter is too near for single rays,"
         near = "" if setup.beam.collimated else near
         warn(
-            f"the BSDF's {functions} returned a negative, infinite or NaN weight, "
-            f"{matrix}or no unit direction,{near} for {ledger.invalid} of "
+            f"the BSDF's {functions} returned a weight that is negative, NaN or "
+            f"above 32768, {matrix}or no unit direction,{near} for {ledger.invalid} of "
             f"{ledger.emitted} rays; they are in the ledger's row invalid and in no "
             "patch"
         )

@@ -283,6 +283,11 @@ class SampledEstimates(Estimates):
         regime = Regime.FEW * few + Regime.RARE * rare
         regime = np.where(self.dark(hemisphere), Regime.DARK, regime)
         missed = np.where(few, largest, weight) if self.deposited else weight
+        if not self.deposited and np.any(self.tally.incident % self.tally.scale):
+            # light of unlike power: of any patch, the mean square of what it received
+            with np.errstate(invalid="ignore"):
+                square = np.nanmax(scatter**2 / fraction, axis=(0, 1), initial=0.0)
+            missed = np.fmax(weight, square * self.rays)
         heavy = np.where(rare, heavy, 0.0)
         limits_of = partial(self._unlike_interval, level)
         unlike = _where(few | rare, limits_of, fraction, scatter, missed, heavy)
@@ -303,7 +308,7 @@ class SampledEstimates(Estimates):
         }
         those = [regime == one for one in limits]
         lows, highs = zip(*limits.values())
-        return np.select(those, lows), np.select(those, highs)
+        return np.maximum(np.select(those, lows), 0.0), np.select(those, highs)
 
     def _few(self, value: Floats, scatter: Floats, hits: Counts) -> Flags:
         """Whether there are hits, but too few or too unlike ones for Student's t."""

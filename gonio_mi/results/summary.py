@@ -287,7 +287,7 @@ def _warnings(record: Record, directions: Sequence[DirectionSummary]) -> list[st
     if ledger.invalid:
         sentences.append(
             f"{_share(ledger.invalid, ledger)} are invalid: the BSDF's {called} "
-            "returned a weight that is negative, infinite or NaN, or no unit "
+            "returned a weight that is negative, NaN or above 32768, or no unit "
             "direction; their flux is in no patch"
         )
     if ledger.astray:

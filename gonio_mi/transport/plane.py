@@ -64,9 +64,10 @@ class Plane:
             si = repeated(si, N_POINTS) if self.by_ray else si
             return mi.Spectrum(self.bsdf.eval(mi.BSDFContext(), si, wo_local, every))
 
-        here, there = values(mi.Point2f(0.5)), values(sampler.next_2d())
-        alike = dr.abs(there - here) <= dr.abs(here) * FEW_ROUNDINGS
-        return bool(dr.all(alike, axis=None))
+        a, b = values(mi.Point2f(0.5)), values(sampler.next_2d())
+        alike = dr.abs(b - a) <= dr.abs(a) * FEW_ROUNDINGS
+        # what is no number at both is refused where it is integrated
+        return bool(dr.all(alike | ~(dr.isfinite(a) | dr.isfinite(b)), axis=None))
 
     def uv(self, p: mi.Point3f) -> mi.Point2f:
         """Texture coordinates of points of the plane; the specimen ends at 0 and 1."""

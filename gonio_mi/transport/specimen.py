@@ -332,8 +332,8 @@ class Specimen:
         if error > MAX_OFFSET_ERROR:
             warn(
                 f"the specimen lies up to {self.reach:g} scene units from the origin, "
-                f"where rounding changes results by up to {error:.1g} of their value: "
-                "move it to the origin"
+                f"where rounding changes results by up to {100 * min(error, 1):.3g} % "
+                "of their value: move it to the origin"
             )
 
     def _check_walls(self) -> None:

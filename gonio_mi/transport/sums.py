@@ -3,9 +3,8 @@
 Powers of single precision are added up as whole numbers, so that no order of threads
 changes a sum. A power is a mantissa of 24 bits times a power of two. Those that rays
 ordinarily carry, from 2**-13 to 2**3, are whole multiples of 2**-36, and 2**24 of them,
-as many as a launch has rays, stay below 2**63; the branches of a ray share its power.
-All others are sorted by eight exponents at a time into levels, each with a unit of its
-own.
+as many as a launch has rays, points or branches, stay below 2**63. All others are
+sorted by eight exponents at a time into levels, each with a unit of its own.
 """
 
 from __future__ import annotations

@@ -183,8 +183,8 @@ class SingleScattering:
         if np.any((least > high) | (most < low)):
             raise SpecimenError(
                 "the estimator split needs points that tell what rays find, but light "
-                "of one event differs in some patches beyond chance: take weighted "
-                "instead"
+                "of one event differs in some patches beyond chance: most of it meets "
+                "few points, as at grazing incidence; take weighted instead"
             )
 
     def completed(self, tally: Tally) -> Tally:

@@ -426,6 +426,27 @@ def test_luminance_of_wavelengths(spectral):  # noqa: ARG001
     assert 0.1 < found.value < 0.3
 
 
+def test_few_hits_of_wavelengths_that_count_unlike(spectral, monkeypatch):  # noqa: ARG001
+    """Patches of a grey Lambertian in closed form. Twin: hits count as they are."""
+    settings = {"rays": 16, "collector": "projected:6x8"}
+    settings["wavelengths"] = range(400, 701, 20)
+    bsdf = {"type": "diffuse", "reflectance": {"type": "uniform", "value": 0.5}}
+    specimen = mi.load_dict(bsdf)
+    records = [gonio.measure(specimen, 30, seed=i, **settings) for i in range(40)]
+    assert 0.5 < np.mean([record.counts.mean() for record in records]) < 2
+    patches = np.eye(48)[::4].reshape(12, 1, 6, 8)
+
+    def held():
+        ends = [[r.quantity(one).interval for one in patches] for r in records]
+        low, high = np.moveaxis(ends, -1, 0)
+        return ((low <= 0.5 / 48) & (high >= 0.5 / 48)).mean(axis=1)
+
+    agree(often_enough(held()))
+    none = np.full(1, np.nan)
+    monkeypatch.setattr(functionals, "_of_unlike_passes", lambda *_: none)
+    disagree(often_enough(held()))
+
+
 def test_retroreflection_is_lit_by_illuminant_a(spectral):  # noqa: ARG001
     """Planck's law at 2855.5 K times V; under D65 a red mirror would be far dimmer.
 

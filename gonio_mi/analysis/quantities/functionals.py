@@ -70,6 +70,7 @@ def ratio(record: Record, weights: Floats, over: Floats | None = None) -> Floats
         std_err = _reduced(record.estimates[0], -weights, over).std_err(0).ravel()
     if np.all(weights >= 0):
         low, high = map(np.ravel, one.interval(0, LEVEL))
+        high = np.fmax(high, _of_unlike_passes(record, weights, one))
         if over is not None:
             low, high = _widened(record, weights, over - weights, low, high)
         # no flux is negative, and no part more than the whole
@@ -82,6 +83,22 @@ def ratio(record: Record, weights: Floats, over: Floats | None = None) -> Floats
     return np.concatenate(
         [value, std_err, np.fmin(ends[0], low), np.fmax(ends[1], high)]
     )
+
+
+def _of_unlike_passes(record: Record, weights: Floats, one: Estimates) -> Floats:
+    """Upper limit where few hits may all be of wavelengths that count little.
+
+    Passes share their hits, and one more may count as much as the mean one of each
+    pass together: more than that of the pass that counts most. NaN where it is not
+    needed, or not known.
+    """
+    tally, n = record.estimates[0].tally, one.passes
+    if n == 1 or tally.hits[weights > 0].sum() >= n * MIN_EVEN_HITS:
+        return np.full(1, np.nan)
+    flux = _summed(tally.sums, np.full(weights.shape, weights.max())).sum()
+    missed = flux * n / tally.hits.sum() / one.tally.incident.sum()
+    ends = statistics.gamma_interval(one.fraction(0), one.std_err(0), missed, LEVEL)
+    return np.ravel(ends[1])
 
 
 def _widened(

@@ -1,6 +1,6 @@
 """Directions of a stack share launches, and each has the bits that it has alone."""
 
-from itertools import pairwise
+from itertools import islice, pairwise
 
 import mitsuba as mi
 import numpy as np
@@ -184,6 +184,27 @@ def test_traced_directions_share_launches(launches, monkeypatch, settings):
     assert launches[0] == 24
     assert len(launches) < 12
     check_alone(stack, hills, (0, 5, 11), **settings)
+
+
+@pytest.mark.parametrize("sampler", ["sobol", "independent"])
+@pytest.mark.parametrize("points", [5, 1024])
+def test_launches_send_no_more_points_than_sums_hold(points, sampler):
+    """Exact, however fast the machine. Twin: as many rays, of one point each.
+
+    Patches hold 2**24 of the largest deposits, as `test_dark_light` shows.
+    """
+
+    def sent(points):
+        settings = {"estimator": "next_event", "points": points, "sampler": sampler}
+        scene = load_specimen({"type": "sphere"}, None, None)
+        setups = set_up(scene, MeasurementSettings(**settings), [(0.0, 0.0)])
+        sends = launcher.Launcher(setups)
+        sends.size.rays = 2**40
+        ((one,), *_) = sends.plan(setups, schedule.Round((2**25,) * 16))
+        return max(piece.rays for piece in islice(sends.pieces(one), 4))
+
+    assert sent(points) * points <= 2**24
+    assert sent(1) * points > 2**24
 
 
 @pytest.mark.parametrize(("n", "rays"), [(1, 1003), (9, 1003), (9, 2**20)])

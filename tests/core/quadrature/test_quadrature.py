@@ -507,9 +507,10 @@ def test_each_point_is_evaluated_once(monkeypatch):
     assert kernels[0] == 1
 
 
-def test_a_negative_value_is_named():
+@pytest.mark.parametrize("value", [-0.3, float("nan"), float("inf")])
+def test_a_value_that_is_no_flux_is_named(value):
     with pytest.raises(gonio.SpecimenError, match=r"eval of .* must be finite and not"):
-        integrated({"type": "diffuse", "reflectance": -0.3})
+        integrated({"type": "diffuse", "reflectance": value})
     assert integrated({"type": "diffuse", "reflectance": 0.3}).dhr > 0, "twin"
 
 

@@ -48,13 +48,14 @@ def close(found, expected):
 
 
 def student(estimates, patch):
-    """Interval by Student's t of one patch, with what no hit leaves open."""
+    """Interval by Student's t of one patch, with what no hit leaves open; from 0 on."""
     sums = estimates.tally.sums[:, 0, 0, patch]
     weight = estimates.fraction(0)[0, patch] * 2 * RAYS / sum(HITS[patch])
     unseen = statistics.upper_limit(2 * RAYS, LEVEL) * weight
     std_err = statistics.batch_std_err(sums, estimates.tally.incident)
     value = estimates.fraction(0)[0, patch]
-    return statistics.student_interval(value, std_err, 2, LEVEL, unseen, unseen)
+    ends = statistics.student_interval(value, std_err, 2, LEVEL, unseen, unseen)
+    return np.maximum(ends, 0.0)
 
 
 def test_values_and_standard_errors():
@@ -92,6 +93,23 @@ def test_few_hits_have_exact_intervals(independent, by_student):
         close((low[patch], high[patch]), expected if patch < by_student else exact)
     assert low[4] == 0
     close(high[4], statistics.upper_limit(2 * RAYS, LEVEL))
+
+
+def test_few_hits_of_unlike_power_may_miss_one_of_another_patch():
+    """Its mean square power, of the patch where that is most. Twin: a uniform beam."""
+    uniform = tally()
+    uneven = replace(uniform, incident=uniform.incident + np.uint64(1))
+    for each, pooled in ((uneven, True), (uniform, False)):
+        one = SampledEstimates(each, independent=False)
+        value, std_err = one.fraction(0)[0, :4, 0], one.std_err(0)[0, :4, 0]
+        squares = std_err**2 / value
+        missed = max(squares) if pooled else max(squares[3], 0.5 / (2 * RAYS))
+        assert max(squares) > 1.1 * max(squares[3], 0.5 / (2 * RAYS))
+        high = one.interval(0, LEVEL)[1][0, 3, 0]
+        alike = 0.5 * statistics.binomial_interval(sum(HITS[3]), 2 * RAYS, LEVEL)[1]
+        other = statistics.gamma_interval(value[3], std_err[3], missed, LEVEL)[1]
+        assert (other > alike) == pooled
+        close(high, max(alike, other))
 
 
 def test_few_deposits_have_the_limits_of_weighted_counts():

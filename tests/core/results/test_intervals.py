@@ -88,6 +88,19 @@ def test_total_interval_covers():
     disagree(Verdict({"covered": float(stats.binom.cdf(wrong, SEEDS, LEVEL))}))
 
 
+@pytest.mark.parametrize("rays", [3, 10])
+def test_no_limit_of_a_patch_is_negative(rays):
+    """Exact: deposits of few rays scatter by more than their sum."""
+    mi.set_variant("llvm_ad_mono")
+    settings = {"rays": rays, "collector": "projected:3x4", "trace": True}
+    settings["estimator"] = "next_event"
+    record = gonio.measure({"type": "diffuse", "reflectance": RHO}, 30, **settings)
+    low, _ = record.interval(LEVEL)
+    half = stats.t.ppf((1 + LEVEL) / 2, record.n_batches - 1) * record.brdf_std_err
+    assert np.nanmin(record.brdf - half) < 0, "twin: Student's t alone"
+    assert low.min() == 0
+
+
 def test_empty_patches_have_an_upper_limit():
     """No hit in n rays: 1 - ((1 - level) / 2)^(1 / n), never 0 +- 0."""
     mi.set_variant("llvm_ad_mono")
