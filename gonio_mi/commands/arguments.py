@@ -262,9 +262,10 @@ def number(text: str) -> float:
 
 def _number_or_word(text: str) -> float | str:
     """Float, or the text as it is."""
-    with contextlib.suppress(ValueError):
+    try:
         return float(text)
-    return text
+    except ValueError:
+        return text
 
 
 def pair(text: str) -> tuple[str, str]:

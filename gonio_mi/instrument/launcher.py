@@ -23,11 +23,12 @@ from .schedule import Round, Target
 MAX_LAUNCH = 2**24
 
 # Rays of the batches that share a launch on a plane, and of any launch along a curve:
-# many for its overhead, few for the progress bar and Ctrl-C; and the numbers that they
-# add up to, kept apart for each thread and in its cache: also those of several incident
-# directions.
+# many for its overhead, few for the progress bar and Ctrl-C; the numbers that they add
+# up to, which Dr.Jit keeps apart for each thread: also those of several incident
+# directions; and these batches, of which the curve has up to four points at a place.
 FUSED_RAYS = 2**22
 FUSED_SUMS = 2**20
+FUSED_BATCHES = 2**14 - 1
 
 # Rays of the first launch: traced and on a plane; and points that traced ones send
 # light to. Then as many as take a second.
@@ -100,7 +101,7 @@ class Launcher:
             # along a curve orders have the same bits together and one by one
             sums = setup.n_bins * (1 if self.curved else len(setup.classes))
             fitting = FUSED_SUMS // (sums * n_numbers())
-            self.capacity = max(1, min(fitting, settings.batches))
+            self.capacity = max(1, min(fitting, settings.batches, FUSED_BATCHES))
         self.known: tuple[Setup, list[MirrorFacets | None]] | None = None
         self.together = 1
         # all that a direction sends

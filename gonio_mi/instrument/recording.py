@@ -96,9 +96,9 @@ def _check_ledger(ledger: Ledger, setup: Setup) -> None:
         near = "" if setup.beam.collimated else near
         warn(
             f"the BSDF's {functions} returned a weight that is negative, NaN or "
-            f"above 32768, {matrix}or no unit direction,{near} for {ledger.invalid} of "
-            f"{ledger.emitted} rays; they are in the ledger's row invalid and in no "
-            "patch"
+            f"above 32768 (along a path 2**30), {matrix}or no unit direction,{near} "
+            f"for {ledger.invalid} of {ledger.emitted} rays; they are in the ledger's "
+            "row invalid and in no patch"
         )
     if ledger.astray:
         warn(

@@ -284,7 +284,7 @@ class SampledEstimates(Estimates):
         regime = np.where(self.dark(hemisphere), Regime.DARK, regime)
         missed = np.where(few, largest, weight) if self.deposited else weight
         if not self.deposited and np.any(self.tally.incident % self.tally.scale):
-            # light of unlike power: of any patch, the mean square of what it received
+            # light of unlike power: the mean of any patch's rays, each by its power
             with np.errstate(invalid="ignore"):
                 square = np.nanmax(scatter**2 / fraction, axis=(0, 1), initial=0.0)
             missed = np.fmax(weight, square * self.rays)

@@ -287,8 +287,8 @@ def _warnings(record: Record, directions: Sequence[DirectionSummary]) -> list[st
     if ledger.invalid:
         sentences.append(
             f"{_share(ledger.invalid, ledger)} are invalid: the BSDF's {called} "
-            "returned a weight that is negative, NaN or above 32768, or no unit "
-            "direction; their flux is in no patch"
+            "returned a weight that is negative, NaN or above 32768 (along a path "
+            "2**30), or no unit direction; their flux is in no patch"
         )
     if ledger.astray:
         sentences.append(

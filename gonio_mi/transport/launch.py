@@ -28,8 +28,8 @@ from .surface_loop import PathSettings, scatter_plane, trace
 # Tells the random numbers of the branches of a ray from its own.
 BRANCHED = 0x62726E63
 
-# Threads that are put to sleep after a launch, at most: for more that takes as long as
-# their launches.
+# Threads that are put to sleep after a launch, at most: for 64 that takes longer than a
+# short launch.
 MAX_PARKED = 8
 
 

@@ -199,9 +199,9 @@ class Sums:
         self.width = packet_width()
         self.levels = setup.levels
         self.bins = dr.zeros(mi.Int64, n_batches * setup.n_bins * self.width)
-        self.one = 1 if self.counted else ONE
-        if dr.width(self.bins) <= dr.expand_threshold():
-            self.one = 0
+        plain = dr.width(self.bins) <= dr.expand_threshold()
+        plain &= mi.variant().startswith("llvm")
+        self.one = 0 if plain else 1 if self.counted else ONE
         n_rare = self.channels * n_batches * setup.n_bins
         self.rare = dr.zeros(mi.Int64, len(self.levels) * n_rare)
         # whether there was such a power, for each level

@@ -1,6 +1,7 @@
 """What instruments state, against closed forms and integrals of our own."""
 
 import json
+import warnings
 from pathlib import Path
 
 import gonio_mi as gonio
@@ -445,6 +446,22 @@ def test_few_hits_of_wavelengths_that_count_unlike(spectral, monkeypatch):  # no
     none = np.full(1, np.nan)
     monkeypatch.setattr(functionals, "_of_unlike_passes", lambda *_: none)
     disagree(often_enough(held()))
+
+
+@pytest.mark.parametrize(
+    ("what", "bsdf", "settings"),
+    [
+        ("45/0", {"type": "diffuse", "reflectance": 0.0}, {"rays": 64}),
+        ("haze", {"type": "roughdielectric"}, {"estimator": "quadrature"}),
+    ],
+)
+def test_where_nothing_is_hit_nothing_is_divided(spectral, what, bsdf, settings):  # noqa: ARG001
+    """No warning of NumPy's, of wavelengths with rays of their own."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", "no light leaves")
+        found = gonio.quantity(what, bsdf, wavelengths=range(400, 701, 50), **settings)
+    assert np.isfinite(found.interval).all()
 
 
 def test_retroreflection_is_lit_by_illuminant_a(spectral):  # noqa: ARG001

@@ -90,10 +90,11 @@ def _of_unlike_passes(record: Record, weights: Floats, one: Estimates) -> Floats
 
     Passes share their hits, and one more may count as much as the mean one of each
     pass together: more than that of the pass that counts most. NaN where it is not
-    needed, or not known.
+    needed, or nothing was hit.
     """
     tally, n = record.estimates[0].tally, one.passes
-    if n == 1 or tally.hits[weights > 0].sum() >= n * MIN_EVEN_HITS:
+    many = tally.hits[weights > 0].sum() >= n * MIN_EVEN_HITS
+    if n == 1 or many or not tally.hits.any():
         return np.full(1, np.nan)
     flux = _summed(tally.sums, np.full(weights.shape, weights.max())).sum()
     missed = flux * n / tally.hits.sum() / one.tally.incident.sum()

@@ -119,8 +119,8 @@ def curve_tables(base: int, bits: int, keys: mi.UInt32, n: int) -> mi.UInt32:
     A place on the curve is a square or half of one, named by `bits` digits of the first
     two numbers. All but their scrambling, which here is undone, is linear over GF(2):
     the index is the exclusive or of one word for the digits of x, one for those of y,
-    and `base`. Above it stands whether the scrambling flips the digit after the leading
-    ones, and the one after that, if the former is 0 or 1 before.
+    and `base`. Its three highest bits tell whether the scrambling flips the next digit
+    of the coordinate, and the one after it where the next one is 0, or 1, before.
 
     Parameters
     ----------

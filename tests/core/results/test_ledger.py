@@ -53,7 +53,7 @@ def scripted(weight, other=None, z=1.0, pdf=1.0):
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, -0.5, 1e6])
 def test_invalid_weights_have_their_row(value, estimator, trace):
     specimen = scripted(1.0, value)
-    with pytest.warns(RuntimeWarning, match="negative, NaN or above 32768, .* invalid"):
+    with pytest.warns(RuntimeWarning, match=r"negative, NaN or above .* invalid"):
         record = gonio.measure(
             specimen,
             30,

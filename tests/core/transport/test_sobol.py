@@ -31,7 +31,7 @@ from scipy.stats import qmc
 
 import gonio_mi as gonio
 from gonio_mi.instrument import launcher
-from gonio_mi.instrument.launcher import LaunchSize, segments
+from gonio_mi.instrument.launcher import FUSED_BATCHES, LaunchSize, segments
 from gonio_mi.transport import sampling
 from gonio_mi.transport.morton import block_bits, leading_digits
 
@@ -234,14 +234,24 @@ def test_the_curve_meets_each_point_once(sobol, base, bits):
         assert np.array_equal(way[digits & 7], eighth.numpy())
 
 
-@pytest.mark.parametrize(("n", "shift"), [(6, 0), (255, 0), (256, 1), (300, 1)])
+@pytest.mark.parametrize(
+    ("n", "shift"), [(6, 0), (255, 0), (256, 1), (300, 1), (4 * FUSED_BATCHES, 1)]
+)
 def test_groups_are_sorted_by_a_digit(sobol, n, shift):
     """Exact, and stable, also in groups of no power of two; of large ones by half."""
-    lane = np.arange(n * 50, dtype=np.uint32)
+    lane = np.arange(n * max(2, 10_000 // n), dtype=np.uint32)
     digit = np.random.default_rng(5).integers(8, size=lane.size, dtype=np.uint32)
     digit[:n] = 7  # all in one group alike
     (found,) = sobol.sorted_within(n, mi.UInt32(digit), mi.UInt32(lane))
     assert np.array_equal(found.numpy(), np.lexsort((lane, digit >> shift, lane // n)))
+
+
+def test_as_many_batches_as_may_share_a_launch():
+    """Each point is met once where four of each batch are at one place."""
+    n = FUSED_BATCHES
+    sampler = loaded(seed=mi.UInt32(range(n)), n=16 * n)
+    sequence, number = (x.numpy().astype(int) for x in sampler.follow_curve())
+    assert np.array_equal(np.sort(16 * sequence + number), np.arange(16 * n))
 
 
 @pytest.mark.parametrize(
