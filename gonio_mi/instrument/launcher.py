@@ -24,8 +24,9 @@ MAX_LAUNCH = 2**24
 
 # Rays of the batches that share a launch on a plane, and of any launch along a curve:
 # many for its overhead, few for the progress bar and Ctrl-C; the numbers that they add
-# up to, which Dr.Jit keeps apart for each thread: also those of several incident
-# directions; and these batches, of which the curve has up to four points at a place.
+# up to, as many as Dr.Jit keeps apart for each thread (`drjit.expand_threshold`): also
+# those of several incident directions; and these batches, of which the curve has up to
+# four points at a place: together less than 2**16, which `sorted_within` can count.
 FUSED_RAYS = 2**22
 FUSED_SUMS = 2**20
 FUSED_BATCHES = 2**14 - 1
