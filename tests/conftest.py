@@ -73,8 +73,8 @@ VERDICTS = ("cosines", "reproducers", "sentences", "suspects", "verdicts")
 
 # Files whose tests take most of the time: -m "not slow" leaves them out.
 SLOW = """
-    alarms annexes azimuth_symmetry benchmark bits blind_spots bsdf_files campaign
-    changes chart chi2 choice comparison corpora cosines coverage created_light
+    alarms annexes auto azimuth_symmetry benchmark bits blind_spots bsdf_files campaign
+    changes chart chi2 comparison corpora cosines coverage created_light
     dark_light daylight digest dispersion exit_profile exports extents file_safety
     files_radiance first_mistakes fitting foreign_plugins foreign_verdicts free_standing
     fuzz glass goniometric goniometric_files half_vectors handbook handbook_blocks

@@ -14,6 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import SettingError, SpecimenError, frames, shown
+from ..estimators import METHODS
 from ..instrument.incidence import described_digest, emitter_scene
 from ..instrument.loading import load_plugin_file, load_specimen
 from ..instrument.measure import measure_each
@@ -30,11 +31,9 @@ from ..transport.specimen import Specimen
 TASK_RAYS = 10**7
 TASKS = 16
 
-# Incident directions of a task, at most: of integrals, which are found together; of
-# `split`, which share the points of the surface and what these see; and where rays are
-# asked for a precision, for which each direction may take minutes, but each task loads
-# its specimen.
-INTEGRALS, SPLIT, PRECISE = 16, 32, 4
+# Incident directions of a task, at most, where rays are asked for a precision: each may
+# take minutes, but each task loads its specimen.
+PRECISE = 4
 
 
 @dataclass(frozen=True)
@@ -119,10 +118,8 @@ def tasks_of(
     # the same whatever the executor: a folder may be carried on by another
     most = max(1, len(incidents) // parts)
     few = max(1, min(TASK_RAYS // asked.rays, most))
-    if asked.estimator.integrates:
-        few = INTEGRALS
-    elif asked.estimator.splits:
-        few = SPLIT
+    if task := METHODS[asked.estimator].task:
+        few = task
     elif asked.rel_err or asked.noise:
         few = min(PRECISE, most)
     digests = tuple((os.path.abspath(path), file_digest(path)) for path in plugins)

@@ -10,7 +10,6 @@ from typing import Any
 from ..results.tally import Tally
 from ..transport.kernels import check_all_counted
 from ..transport.launch import Launch, launch, traces
-from ..transport.mirror_facets import MirrorFacets, has_mirror_facets
 from ..transport.morton import block_bits, chunk_lanes
 from ..transport.sampling import is_joint
 from ..transport.setup import Setup
@@ -103,7 +102,7 @@ class Launcher:
             sums = setup.n_bins * (1 if self.curved else len(setup.classes))
             fitting = FUSED_SUMS // (sums * n_numbers())
             self.capacity = max(1, min(fitting, settings.batches, FUSED_BATCHES))
-        self.known: tuple[Setup, list[MirrorFacets | None]] | None = None
+        self.known: tuple[Setup, list[Any]] | None = None
         self.together = 1
         # all that a direction sends
         whole = self.divisible and self.capacity == settings.batches
@@ -143,7 +142,7 @@ class Launcher:
                     if report is not None:
                         report(totals.emitted)
                 check_all_counted(sum(one.sizes), total.emitted)
-                tallies: list[Tally] = total.tallies(len(setups))
+                tallies = setups[0].method.tallies(total, len(setups))
                 groups.append([x if nm is None else x.first(len(nm)) for x in tallies])
             yield [
                 each[0] if len(each) == 1 else Tally.join_channels(each)
@@ -160,7 +159,7 @@ class Launcher:
         beams = tuple(one.beam for one in setups) if n > 1 else ()
         capacity = self.capacity * (self.together if n > 1 else 1)
         lanes = [wavelength_lanes(nm) for nm in setup.passes]
-        facets = self._facets(setup, lanes)
+        controls = self._controls(setup, lanes)
         first, sizes = part.first, tuple(size for size in part.sizes for _ in setups)
         while sizes:
             several = min(len(sizes), capacity)
@@ -183,9 +182,9 @@ class Launcher:
                     keys=tuple((*key, number) for key in keys),
                     sizes=sizes[:several],
                     begin=part.start,
-                    facets=known,
+                    control=known,
                 )
-                for number, (nm, known) in enumerate(zip(lanes, facets))
+                for number, (nm, known) in enumerate(zip(lanes, controls))
             ]
             first, sizes = first + several // n, sizes[several:]
 
@@ -193,12 +192,10 @@ class Launcher:
         """Cut what batches send into launches, each of the size that was learnt."""
         return self._along_curve(whole) if self.curved else self._in_order(whole)
 
-    def _facets(self, setup: Setup, lanes: Sequence[Any]) -> list[MirrorFacets | None]:
-        """Mirror facets of a setup for each pass: made in its first round."""
+    def _controls(self, setup: Setup, lanes: Sequence[Any]) -> list[Any]:
+        """Light that is known without rays, for each pass: made in the first round."""
         if self.known is None or self.known[0] is not setup:
-            there = has_mirror_facets(setup)
-            made = [MirrorFacets(setup, nm) if there else None for nm in lanes]
-            self.known = setup, made
+            self.known = setup, [setup.method.control(setup, nm) for nm in lanes]
         return self.known[1]
 
     def _in_order(self, whole: Launch) -> Iterator[Launch]:
@@ -244,7 +241,7 @@ def _may_share(setup: Setup) -> bool:
         return False
     if traces(setup):
         # the first order of each direction is a table of its own
-        return not setup.specimen.media and not has_mirror_facets(setup)
+        return not setup.specimen.media and not setup.method.controls(setup)
     return not setup.specimen.plane.by_ray
 
 

@@ -14,8 +14,8 @@ import mitsuba as mi
 from numpy.typing import ArrayLike
 
 from ..errors import SettingError, VariantError, check_memory, is_ctrl_c, shown
+from ..estimators import METHODS
 from ..progress import Announcement, bar
-from ..quadrature.integrate import integrals
 from ..results.record import Record
 from ..results.tally import Tally, batch_sizes
 from ..settings import MeasurementSettings
@@ -23,7 +23,6 @@ from ..settings.values import Order
 from ..transport.kernels import launches_kernels
 from ..transport.polarisation import n_channels, n_elements
 from ..transport.setup import Setup
-from ..transport.surface_points import SingleScattering, single_scattering
 from ..transport.variants import is_parallel
 from .incidence import incident_angles
 from .launcher import Launcher, even_part, round_rays
@@ -34,9 +33,6 @@ from .setup import own_settings, set_up
 from .specimen_text import SpecimenLike, specimen_name
 
 logger = logging.getLogger(__name__)
-
-# Incident directions whose integrals are found together: what Ctrl-C may cost.
-MAX_TOGETHER = 64
 
 
 def measure_each(
@@ -126,7 +122,7 @@ def measure_stacks(
     settings = _settled(own_settings(scene), given, resume)
     if mi.is_spectral and isinstance(specimen, (str, PathLike, dict)):
         check_named_files(specimen, parameters, settings.wavelengths)
-    one_by_one = Target.of(settings) or not settings.estimator.follows_exits
+    one_by_one = Target.of(settings) or not METHODS[settings.estimator].follows_exits
     if len(orders) > 1 and one_by_one:
         given |= {"progress": progress, "parameters": parameters, "emitter": emitter}
         records: list[Record] = []
@@ -162,70 +158,58 @@ def send_all(
     Whenever it is interrupted by Ctrl-C, they hold all batches after a whole round, or
     in the first round those that have finished it; it is raised if that is nothing.
     """
-    settings, n_passes = setups[0].settings, len(setups[0].passes)
-    integrates = settings.estimator.integrates
+    setup, method = setups[0], setups[0].method
+    settings, n_passes, n = setup.settings, len(setup.passes), len(setups)
     plan = batch_sizes(settings.rays, settings.batches)
     _check_sums_fit(setups, plan)
     # one that is carried on has sent more in some directions than in others
     launcher = Launcher(setups[:1] if any(finished) else setups)
-    size = launcher.together
-    if integrates:
-        size = even_part(len(setups), MAX_TOGETHER)
+    size = even_part(n, method.together) if method.together else launcher.together
+    begun = size if method.together else n
+    known: list[Any] = [None] * n
     rays = None
     if Target.of(settings) is None:
         before = sum(sum(rays_sent(tallies, n_passes)) for tallies in finished)
-        rays = (len(setups) * sum(plan) - before) * n_passes
-    single: Sequence[SingleScattering | None] = [None] * len(setups)
+        rays = (n * sum(plan) - before) * n_passes
     complete = True
     with bar(
         progress, total=rays, unit="ray", unit_scale=True, delay=1, mininterval=0.2
     ) as report:
-        if rays is not None and not integrates:
+        if rays is not None and setup.samples:
             report = Announcement(report, rays)
         try:
-            if settings.estimator.splits:
-                with bar(
-                    progress,
-                    desc="points of the surface",
-                    unit="point",
-                    unit_scale=True,
-                    delay=1,
-                ) as joined:
-                    single = single_scattering(setups, joined)
-            for first in range(0, len(setups), size):
+            for first in range(0, n, size):
+                if first % begun == 0:
+                    some = slice(first, first + begun)
+                    known[some] = method.begin(setups[some], progress)
                 some = slice(first, first + size)
-                # without the integrals beside them rays are not enough
-                sent = [[] if integrates else tallies for tallies in finished[some]]
-                if setups[0].samples:
-                    _send(launcher, setups[some], single[some], sent, report)
+                if setup.samples:
+                    _send(launcher, setups[some], known[some], finished[some], report)
                 elif report is not None:
-                    report(sum(plan) * len(sent))
-                found = integrals(setups[some], sent) if integrates else []
-                for tallies, one in zip(finished[some], found):
-                    tallies[:] = [one]
+                    report(sum(plan) * len(setups[some]))
         except (KeyboardInterrupt, RuntimeError) as error:
             if not is_ctrl_c(error):
                 raise
-            if not any(finished):
-                raise KeyboardInterrupt from None
             complete = False
-    for light, tallies in zip(single, finished):
-        if tallies and light is not None:
-            tallies[:] = [light.completed(Tally.join(tallies))]
+    for one, tallies, of_it in zip(setups, finished, known):
+        if tallies or not (one.samples or of_it is None):
+            tallies[:] = [method.finish(one, tallies, of_it)]
+    if not any(finished):
+        raise KeyboardInterrupt
     return complete
 
 
 def _send(
     launcher: Launcher,
     setups: Sequence[Setup],
-    single: Sequence[SingleScattering | None],
+    known: Sequence[Any],
     sent: Sequence[list[Tally]],
     report: Callable[[float], Any] | None,
 ) -> None:
     """Add to what each of the setups has `sent` what their settings ask for.
 
-    Those whose next rounds are alike share them. Precision is that with the light of
-    `single` scattering, where rays leave it out.
+    Those whose next rounds are alike share them. Precision is that with what is `known`
+    without rays.
     """
     schedules = [
         schedule(
@@ -235,7 +219,7 @@ def _send(
             tallies,
             partial(_looked_at, setup, light),
         )
-        for setup, light, tallies in zip(setups, single, sent)
+        for setup, light, tallies in zip(setups, known, sent)
     ]
     parts = [next(rounds, None) for rounds in schedules]
     while part := next(filter(None, parts), None):
@@ -254,9 +238,9 @@ def _send(
             parts[i] = next(schedules[i], None)
 
 
-def _looked_at(setup: Setup, light: SingleScattering | None, tally: Tally) -> Record:
-    """Record of the rays so far, and of `light` if they leave that out."""
-    return record_of(setup, light.completed(tally) if light else tally)
+def _looked_at(setup: Setup, known: Any, tally: Tally) -> Record:
+    """Record of the rays so far, and of what is `known` without them."""
+    return record_of(setup, setup.method.finish(setup, [tally], known))
 
 
 def _check_together(
@@ -295,9 +279,10 @@ def _settled(
     """Settings that are `given`, else the scene's `own`, else the defaults."""
     settings = MeasurementSettings().changed(**own | given)
     estimator = settings.estimator
-    if resume is not None and (estimator.integrates or estimator.splits):
+    method = METHODS[estimator]
+    if resume is not None and not method.resumes:
         raise SettingError(f"resume is for sampled rays, got the estimator {estimator}")
-    if estimator.integrates:
+    if method.integrates:
         return settings
     others = {"rays": given.get("rays"), "resume": resume}
     for goal, also in (("noise", {"rel_err": given.get("rel_err")}), ("rel_err", {})):

@@ -89,8 +89,8 @@ def _check_ledger(ledger: Ledger, setup: Setup) -> None:
             "reference"
         )
     if ledger.invalid:
-        deposits = setup.settings.estimator.deposits
-        functions = "sample() or eval()" if deposits else "sample()"
+        called = setup.method.functions(setup.specimen.surfaces[0].bsdf())
+        functions = " or ".join(f"{name}()" for name in sorted(called, reverse=True))
         matrix = "elements above the first, " if mi.is_polarized else ""
         near = " or the emitter is too near for single rays,"
         near = "" if setup.beam.collimated else near
@@ -167,7 +167,7 @@ def _records(
 def warn_of_interruption(setups: Sequence[Setup], record: Record) -> None:
     """Warn of what is left of the incident directions."""
     settings, n_incident = setups[0].settings, len(setups)
-    integrates = settings.estimator.integrates
+    integrates = setups[0].method.integrates
     if integrates or Target.of(settings):
         kept = f"{len(record)} of {n_incident} incident directions"
         kept += "" if integrates else ", some of them less precise"
@@ -208,8 +208,8 @@ def settings_and_provenance(setup: Setup) -> tuple[MeasurementSettings, Provenan
     settings, specimen = setup.settings, setup.specimen
     goals: dict[str, Any] = {}
     digests: dict[str, Any] = setup.digests
-    if settings.estimator.integrates:
-        goals = {"rel_err": settings.integral_err, "noise": None}
+    if setup.method.integrates:
+        goals = {"rel_err": settings.integral_err}
     side = "front" if setup.beam.side > 0 else "back"
     provenance = Provenance(
         specimen=specimen.name,

@@ -163,7 +163,7 @@ class Target:
     def of(cls, settings: MeasurementSettings) -> Target | None:
         """Target of the settings; None where a number of rays, or an integral, is."""
         goal = settings.noise or settings.precision
-        if goal is None or settings.estimator.integrates:
+        if goal is None:
             return None
         return cls(goal, settings.noise is not None, settings.max_rays, settings.floor)
 

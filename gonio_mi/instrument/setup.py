@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
 from ..errors import SettingTypeError, SpecimenError, shown, warn
-from ..quadrature.integrate import check_integrable
+from ..estimators import METHODS
+from ..estimators.auto import PILOT_INCIDENT, chosen
+from ..results.tally import Tally
 from ..settings import (
     COLLECTOR,
     FILM,
@@ -22,16 +25,15 @@ from ..transport.beam import Beam
 from ..transport.bsdf_trial import check_works, warn_of_roughness
 from ..transport.collector_sphere import CollectorSphere
 from ..transport.media import check_media, phase_defect
-from ..transport.next_event import check_traced
 from ..transport.sampling import check_sampler
 from ..transport.scene_objects import foreign_plugins
 from ..transport.setup import Setup
 from ..transport.specimen import Specimen
-from ..transport.surface_points import check_splittable
 from ..transport.wavelengths import check_covered, passes, wavelength_lanes
-from .choice import PILOT_INCIDENT, chosen
 from .incidence import collimated, described_digest, emitter_scene, towards
+from .launcher import Launcher
 from .loading import loaded
+from .schedule import Round
 
 # Of specimens with media: by variant, wavelengths, digest and classes in Python.
 _defects: dict[tuple[Any, ...], list[str]] = {}
@@ -118,7 +120,11 @@ def set_up(
         else:
             source = emitter_scene(scene, emitter, incident, settings.side)
             beam = _beam(specimen, settings, source.emitters())
-        setup = Setup(settings, specimen, beam, collector, sampler, incident, described)
+        method = METHODS[settings.estimator]
+        # integrals have an error of their own
+        goal = replace(settings, noise=None) if method.integrates else settings
+        told = incident, described
+        setup = Setup(goal, method, specimen, beam, collector, sampler, *told)
         setup.source = source  # with it its emitters would go
         setup.collect_orders(orders)
         setup.choice = choice
@@ -126,14 +132,14 @@ def set_up(
 
     def tried(settings: MeasurementSettings) -> Setup:
         setup = lit(settings, PILOT_INCIDENT if incidents[0] else None)
-        _check_estimator(setup)
+        setup.method.check(setup)
         return setup
 
     if settings.estimator is Estimator.AUTO:
-        settings, choice = chosen(settings, specimen, orders, tried)
+        settings, choice = chosen(settings, specimen, orders, tried, _short_run)
     first = lit(settings, incidents[0])
     if choice is None:
-        _check_estimator(first)  # they differ in their incident direction only
+        first.method.check(first)  # they differ in their incident direction only
     angles = [incident for incident in incidents if incident is not None]
     if emitter is not None or not angles:
         return [first, *(lit(settings, incident) for incident in incidents[1:])]
@@ -141,14 +147,10 @@ def set_up(
     return [first, *map(first.turned, beams, angles[1:])]
 
 
-def _check_estimator(setup: Setup) -> None:
-    """Raise SpecimenError where the estimator does not apply."""
-    if setup.settings.estimator.integrates:
-        check_integrable(setup)
-    if setup.settings.estimator.deposits:
-        check_traced(setup)
-    if setup.settings.estimator.splits:
-        check_splittable(setup)
+def _short_run(setup: Setup, each: int) -> Tally:
+    """Batches of so many rays."""
+    part = Round((each,) * setup.settings.batches)
+    return Tally.join([tally for (tally,) in Launcher([setup]).tallies([setup], part)])
 
 
 def _check_specimen(specimen: Specimen, settings: MeasurementSettings) -> None:
@@ -158,12 +160,18 @@ def _check_specimen(specimen: Specimen, settings: MeasurementSettings) -> None:
     """
     lanes = [wavelength_lanes(nm) for nm in passes(settings.wavelengths)]
     bsdfs = [surface.bsdf() for surface in specimen.surfaces]
-    check_works(bsdfs, lanes[0], settings.estimator)
+    method = METHODS[settings.estimator]
+    check_works(bsdfs, lanes[0], method)
     warn_of_roughness(bsdfs)
     if mi.is_spectral:
         check_covered([*bsdfs, *specimen.media], settings.wavelengths)
     if specimen.media:
-        check_media(specimen, lanes, settings.estimator)
+        check_media(specimen, lanes)
+        if not method.follows_exits:
+            raise SpecimenError(
+                "a specimen with a medium must be measured by the estimator weighted "
+                f"or analog, got {settings.estimator}"
+            )
     # with a warning when this specimen is asked for the first time: a campaign sets it
     # up again for each direction
     phases = [medium.phase_function() for medium in specimen.media]

@@ -1,7 +1,4 @@
-"""Converged patch integrals of a flat specimen's BSDF: no rays, no random numbers.
-
-And the estimator `quadrature`: what it needs of a setup, and what it finds.
-"""
+"""Converged patch integrals of a flat specimen's BSDF: no rays, no random numbers."""
 
 from __future__ import annotations
 
@@ -15,13 +12,7 @@ import numpy as np
 
 from ..array_types import Flags, Floats, Integers, Numbers, Singles
 from ..collector import Subdivision
-from ..collector.receptors import holds
 from ..errors import SpecimenError
-from ..results.tally import WEIGHT_SCALE, Integrals, Tally
-from ..settings.values import ALL_ORDERS
-from ..transport.setup import Setup
-from ..transport.variants import check_unpolarised
-from ..transport.wavelengths import wavelength_lanes
 from .cells import NODES_PER_CELL, QUARTERS, Cells, way_to_split
 from .evaluator import INTEGRAL_ROUNDING, Evaluator, IncidentLight
 
@@ -402,79 +393,3 @@ class _PatchSums:
         """Sum of the cells' values in each patch."""
         columns = [np.bincount(patch, x, minlength=len(self.flux)) for x in values.T]
         return np.stack(columns, axis=-1)
-
-
-# ------------------------------------------------------------------------ the estimator
-
-
-def check_integrable(setup: Setup) -> None:
-    """Raise SpecimenError where the estimator `quadrature` does not apply."""
-    plane, settings = setup.specimen.plane, setup.settings
-    windows = getattr(setup.collector.subdivision, "windows", ())
-    check_unpolarised("the estimator quadrature")
-    needs = {
-        "a single flat rectangle": plane is not None and not settings.trace,
-        "a collimated beam": setup.beam.collimated
-        and not (settings.divergence or settings.incident),
-        "a collector in the far field": not setup.collector.radius,
-        "round windows, none in another": not any(
-            len(a) == 4 or holds(b, a) for a in windows for b in windows
-        ),
-        "the order all": settings.order == ALL_ORDERS,
-        "the same BSDF all over the specimen": plane is None
-        or settings.footprint == "point"
-        or plane.is_uniform(wavelength_lanes(setup.passes[0])),
-    }
-    for need, met in needs.items():
-        if not met:
-            raise SpecimenError(
-                f"the estimator quadrature needs {need}: take weighted instead"
-            )
-
-
-def integrals(
-    setups: Sequence[Setup], sampled: Sequence[Sequence[Tally]]
-) -> list[Integrals]:
-    """Integrals of all but the delta components, beside the tallies of those.
-
-    Parameters
-    ----------
-    setups : sequence of Setup
-        Of one specimen; they differ in their incident direction only and share kernels.
-    sampled : sequence of sequence of Tally
-        Of the delta components, at each setup; none without such components.
-    """
-    groups = [_pass_integrals(setups, nm) for nm in setups[0].passes]
-    found = []
-    for setup, tallies, parts in zip(setups, sampled, zip(*groups)):
-        flux, errors = (np.concatenate(arrays, axis=-1) for arrays in zip(*parts))
-        if tallies:
-            beside = Tally.join(tallies).spread(flux.shape[-1])
-        else:
-            shape = setup.collector.subdivision.shape
-            beside = Tally.empty(setup.shape[0], shape, flux.shape[-1], WEIGHT_SCALE)
-        found.append(Integrals.beside(beside, flux, errors))
-    return found
-
-
-def _pass_integrals(
-    setups: Sequence[Setup], nm: tuple[float, ...] | None
-) -> list[tuple[Floats, Floats]]:
-    """Flux fractions of some wavelengths, and their errors, at each setup.
-
-    Arrays of shape ``(n_hemispheres, n_theta, n_phi, channels)``.
-    """
-    setup = setups[0]
-    si = mi.SurfaceInteraction3f(setup.specimen.plane.interaction)
-    si.wavelengths = wavelength_lanes(nm)
-    found = integrate_each(
-        setup.specimen.plane.bsdf,
-        [(one.theta_i, one.phi_i) for one in setups],
-        setup.collector.subdivision,
-        integral_err=setup.settings.integral_err,
-        side="front" if setup.beam.side > 0 else "back",
-        interaction=si,
-        n_hemispheres=setup.shape[0],
-    )
-    kept = ..., slice(0, nm and len(nm))
-    return [(one.flux[kept], one.error[kept]) for one in found]

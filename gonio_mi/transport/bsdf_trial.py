@@ -13,7 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import SpecimenError, abridged, own_frame, warn
-from ..settings import Estimator
+from .method import Method
 from .scene_objects import class_of, traversed
 from .variants import unpolarised_variants
 
@@ -112,8 +112,8 @@ def missing_method(error: BaseException) -> str | None:
     return found[1] if found else None
 
 
-def check_works(bsdfs: Iterable[Any], wavelengths: Any, estimator: Estimator) -> None:
-    """Raise what a BSDF raises in the methods that `estimator` needs.
+def check_works(bsdfs: Iterable[Any], wavelengths: Any, method: Method) -> None:
+    """Raise what a BSDF raises in the functions that an estimator needs.
 
     One BSDF of each class is tried, with the `wavelengths` of a ray; of what it answers
     only the form is looked at.
@@ -127,7 +127,7 @@ def check_works(bsdfs: Iterable[Any], wavelengths: Any, estimator: Estimator) ->
     """
     for bsdf in {class_of(bsdf): bsdf for bsdf in bsdfs}.values():
         try:
-            _try(bsdf, wavelengths, estimator)
+            _try(bsdf, wavelengths, method.functions(bsdf))
         except PluginFault as fault:
             raise _refused(bsdf, str(fault), _is_of_colours(str(fault))) from fault
         except Exception as error:
@@ -194,17 +194,16 @@ def _is_of_colours(text: str) -> bool:
     return not mi.is_rgb and mi.Spectrum.__name__ in text
 
 
-def _try(bsdf: Any, wavelengths: Any, estimator: Estimator) -> None:
-    """Call the methods once, as in a launch."""
+def _try(bsdf: Any, wavelengths: Any, functions: set[str]) -> None:
+    """Call the functions once, as in a launch."""
     si = dr.zeros(mi.SurfaceInteraction3f)
     si.uv = mi.Point2f(0.5)
     si.wi = mi.Vector3f(0.6, 0, 0.8)
     si.wavelengths = wavelengths
     ctx = mi.BSDFContext(mi.TransportMode.Importance)
-    delta = mi.has_flag(bsdf.flags(), mi.BSDFFlags.Delta)
-    if delta or not estimator.integrates:
+    if "sample" in functions:
         random = mi.Float(0.5), mi.Point2f(0.5)
         checked_sample("sample", bsdf.sample(ctx, si, *random, mi.Bool(True)), 1)
-    if estimator.integrates or estimator.deposits or estimator.splits:
+    if "eval" in functions:
         value = bsdf.eval(ctx, si, mi.Vector3f(0, 0.6, 0.8), mi.Bool(True))
         checked_answer("eval", value, 1, mi.Spectrum)

@@ -9,24 +9,16 @@ import drjit as dr
 import mitsuba as mi
 
 from ..results.provenance import FACETS
-from ..results.tally import Fate
-from ..settings.measurement_settings import BRANCHES
 from ..settings.values import UNLIMITED
 from ..threads import park_threads
 from .beam import Beam
 from .exits import Exits, of_order
 from .kernels import check_variant_kept
 from .media_loop import Geometry, trace_inside
-from .mirror_facets import MirrorFacets, has_mirror_facets
-from .next_event import Deposits
-from .rays import Flight
 from .sampling import Relay, apart, continues, in_turns, rays_per_lane, seeded, turns_of
 from .setup import Setup
 from .sums import Sums, Totals
 from .surface_loop import PathSettings, scatter_plane, trace
-
-# Tells the random numbers of the branches of a ray from its own.
-BRANCHED = 0x62726E63
 
 # Threads that are put to sleep after a launch, at most: for 64 that takes longer than a
 # short launch.
@@ -57,8 +49,8 @@ class Launch:
     stretch : (int, int), optional
         Along the curve that all batches of a direction walk together: only rays from
         there.
-    facets : MirrorFacets, optional
-        Of the setup, where their first order is known.
+    control : object, optional
+        Light that is known without rays, of the setup's method.
     """
 
     setup: Setup
@@ -69,7 +61,7 @@ class Launch:
     sizes: tuple[int, ...]
     begin: int = 0
     stretch: tuple[int, int] | None = None
-    facets: MirrorFacets | None = None
+    control: Any = None
 
     @property
     def rays(self) -> int:
@@ -97,7 +89,8 @@ def launch(one: Launch) -> Totals:
     if traced and len(sizes) * lanes == 1:
         lanes = 2  # in a single one Dr.Jit 1.5 takes a loop's variables for constants
     while True:
-        sums = Sums(setup, one.capacity, one.facets)
+        known = None if one.control is None else one.control.flux
+        sums = Sums(setup, one.capacity, known)
         sampler = seeded(setup.sampler, one.keys, one.begin, lanes)
         if one.stretch is not None:
             batch, ray = sampler.follow_curve(*one.stretch, one.n_directions)
@@ -109,7 +102,7 @@ def launch(one: Launch) -> Totals:
         # the last batches may be shorter by one ray
         full = dr.opaque(mi.UInt32, sizes.count(sizes[0]))
         size = dr.opaque(mi.UInt32, sizes[0]) - dr.select(batch < full, mi.UInt32(0), 1)
-        rays = _Rays(one, sums, batch, size)
+        rays = LaunchedRays(one, sums, batch, size)
         if inside:
             rays.relay(sampler, ray, sizes[0])
         elif turns > 1:
@@ -140,15 +133,26 @@ def transport_of(setup: Setup) -> str:
     """
     if not traces(setup):
         return "plane"
-    if has_mirror_facets(setup):
+    if setup.method.controls(setup):
         return FACETS
     return "traced" if setup.settings.trace or setup.layers is None else "layers"
 
 
-class _Rays:
+class LaunchedRays:
     """The rays of a launch, one after the other in each lane.
 
     No closure: the traceback of an error would keep what it closes over alive.
+
+    Attributes
+    ----------
+    setup : Setup
+    sums : Sums
+    wavelengths : mi.Spectrum or mi.Color0f
+    batch, size : mi.UInt32
+        Of each lane: its batch, and the rays of that.
+    beam : Beam
+    control : object, optional
+        Light that is known without rays, of the setup's method.
     """
 
     def __init__(
@@ -156,6 +160,7 @@ class _Rays:
     ) -> None:
         self.setup, self.wavelengths = one.setup, one.wavelengths
         self.sums, self.batch, self.size = sums, batch, size
+        self.control = one.control
         self.beam = one.setup.beam
         if one.beams:
             several = len(one.sizes) // len(one.beams)
@@ -163,80 +168,37 @@ class _Rays:
         self.ray: Any = None
 
     def add(self, sampler: mi.Sampler, ray: mi.UInt32) -> None:
-        """Add to the sums what becomes of one ray per lane, number `ray` of a batch.
+        """Add to the sums what becomes of one ray per lane, number `ray` of a batch."""
+        self.setup.method.add(self, sampler, ray)
 
-        They are followed by the cheapest transport that is exact for the specimen.
+    def follow(
+        self,
+        sampler: mi.Sampler,
+        max_depth: int | None = None,
+        deposits: Any = None,
+        begun: Any = None,
+    ) -> Exits:
+        """Exits of one ray per lane, by the cheapest transport that is exact for it.
+
+        `max_depth` is that of the settings unless given; `deposits` and `begun` are
+        those of :func:`~.surface_loop.trace`.
         """
-        setup, active = self.setup, ray < self.size
-        how, specimen = _path_settings(setup), setup.specimen
-        if setup.settings.estimator.splits:
-            how = replace(how, max_depth=1)
-        deposits = None
-        if setup.settings.estimator.deposits:
-            deposits = Deposits(setup, self.sums, active, self.batch)
-        if traces(setup):
-            exits = trace(specimen, self.beam, sampler, self.wavelengths, how, deposits)
-        else:
+        setup = self.setup
+        how, specimen = path_settings(setup), setup.specimen
+        if max_depth is not None:
+            how = replace(how, max_depth=max_depth)
+        if begun is None and not traces(setup):
             plane = specimen.plane
-            exits = scatter_plane(plane, self.beam, sampler, self.wavelengths, how)
-        if setup.settings.estimator.splits:
-            self._branch(sampler, exits, active)
-            return
-        exits = of_order(exits, setup.order)
-        bins = setup.bins(exits)
-        self.sums.add(bins, exits, active, self.batch)
-        if deposits is not None:
-            deposits.add_exits(bins, exits)
-
-    def _branch(self, sampler: mi.Sampler, exits: Exits, active: mi.Bool) -> None:
-        """Add to the sums what becomes of rays of the estimator `split`.
-
-        Those that met a surface again after their first event go on from there in
-        `BRANCHES` directions, each with its part of the power.
-        """
-        setup, flight = self.setup, exits.flight
-        again = active & (exits.fate == mi.UInt32(Fate.TRUNCATED))
-        ended = of_order(exits, setup.order)
-        self.sums.add(setup.bins(ended), ended, active & ~again, self.batch)
-        bins = setup.bins(exits)  # of light of one event, to be compared with points
-        first = active & ~again & (bins < setup.n_collected)
-        self.sums.deposit(
-            bins, exits.throughput, first, self.batch + self.sums.capacity
-        )
-        state = flight.ray.o, flight.ray.d, flight.n, flight.offset
-        own, none = (self.batch, sampler.index, sampler.key), dr.zeros_like(exits.fate)
-        batch, index, key = (mi.UInt32(x) + none for x in own)
-        β = exits.throughput
-        dr.eval(*state, β, batch, index, key, again)
-        which = dr.compress(again)
-        if not len(which):
-            return
-        lane, branch = apart(dr.arange(mi.UInt32, BRANCHES * len(which)), BRANCHES)
-        which = dr.gather(mi.UInt32, which, lane)
-        batch, index, key = (
-            dr.gather(mi.UInt32, x, which) for x in (batch, index, key)
-        )
-        o, d, n, offset = (dr.gather(type(x), x, which) for x in state)
-        ray = mi.Ray3f(o, d)
-        ray.wavelengths = self.wavelengths
-        # what they met is met indeed, from behind too
-        flight = Flight(ray, mi.Vector3f(0), n, offset, mi.Bool(True), mi.UInt32(0))
-        power = dr.gather(type(β), β, which)
-        sampler = sampler.clone()
-        # beyond 2**28 rays, whose branches have no index of 32 bits, by other keys
-        sampler.key = (key ^ BRANCHED) + index // (2**32 // BRANCHES)
-        sampler.index = index * BRANCHES + branch
-        sampler.draw = mi.UInt32(0)
-        how = replace(_path_settings(setup), max_depth=setup.settings.max_depth)
-        specimen = setup.specimen
+            return scatter_plane(plane, self.beam, sampler, self.wavelengths, how)
         light = self.wavelengths
-        begun = flight, power
-        exits = trace(specimen, self.beam, sampler, light, how, None, begun)
-        exits = of_order(exits, setup.order)  # by rounding some meet nothing again
-        bins = setup.bins(exits)
-        self.sums.add(bins, exits, branch == 0, batch)
-        collected = bins < setup.n_collected
-        self.sums.deposit(bins, exits.throughput / BRANCHES, collected, batch)
+        return trace(specimen, self.beam, sampler, light, how, deposits, begun)
+
+    def collect(self, exits: Exits, active: mi.Bool) -> tuple[mi.UInt32, Exits]:
+        """Add to the sums what arrived; its bins, and the exits of the order asked."""
+        exits = of_order(exits, self.setup.order)
+        bins = self.setup.bins(exits)
+        self.sums.add(bins, exits, active, self.batch)
+        return bins, exits
 
     def relay(self, sampler: mi.Sampler, ray: mi.UInt32, rays: int) -> None:
         """Add to the sums what becomes of all rays, which scatter inside of media."""
@@ -258,7 +220,7 @@ class _Rays:
             beam,
             sampler,
             self.wavelengths,
-            _path_settings(self.setup),
+            path_settings(self.setup),
             Relay(sampler, rays, self._arrive),
         )
 
@@ -274,9 +236,9 @@ class _Rays:
         self.sums.add(self.setup.bins(exits), exits, ray < size, batch)
 
 
-def _path_settings(setup: Setup) -> PathSettings:
+def path_settings(setup: Setup) -> PathSettings:
     """How rays are followed."""
-    settings, analog = setup.settings, setup.settings.estimator.counts
+    settings, analog = setup.settings, setup.method.counted
     rr_depth = settings.rr_depth
     # counted rays live or die at each event as it is, and stay whole
     roulette = rr_depth >= 0 and not analog
@@ -288,7 +250,7 @@ def _path_settings(setup: Setup) -> PathSettings:
         # nothing that comes later is collected
         max_depth=settings.max_depth if media else min(settings.max_depth, most),
         rr_depth=rr_depth if roulette else 2**32 - 1,
-        delta_only=settings.estimator.integrates,
+        delta_only=setup.method.delta_only,
         max_scatterings=min(settings.max_scatterings, UNLIMITED if shared else most),
         roulette=roulette,
     )

@@ -15,7 +15,6 @@ import numpy as np
 
 from ..array_types import Floats, Integers
 from ..errors import SpecimenError, abridged, is_ctrl_c
-from ..settings import Estimator
 from ..single_precision import FEW_ROUNDINGS
 from .scene_objects import class_of
 from .variants import check_unpolarised
@@ -34,9 +33,7 @@ def media_of(surfaces: Sequence[mi.Shape]) -> list[mi.Medium]:
     return list(found.values())
 
 
-def check_media(
-    specimen: Any, wavelengths: Sequence[mi.Spectrum], estimator: Estimator
-) -> None:
+def check_media(specimen: Any, wavelengths: Sequence[mi.Spectrum]) -> None:
     """Raise SpecimenError for media that light cannot reach, or that are no media.
 
     And VariantError in polarised variants, whose phase functions are not modelled.
@@ -46,16 +43,9 @@ def check_media(
     specimen : Specimen
     wavelengths : sequence of mi.Spectrum or mi.Color0f
         Of each pass.
-    estimator : Estimator
-        One that collects rays where they leave; others say nothing of media.
     """
     check_unpolarised("a specimen with a medium")
     surfaces = specimen.surfaces
-    if not estimator.follows_exits:
-        raise SpecimenError(
-            "a specimen with a medium must be measured by the estimator weighted or "
-            f"analog, got {estimator}"
-        )
     for medium in specimen.media:
         borders = [
             shape

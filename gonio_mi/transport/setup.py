@@ -19,14 +19,11 @@ from .collector_sphere import CollectorSphere
 from .digest import emitter_digest, plugins_digest
 from .exits import Exits, OrderClasses
 from .layers import layers_of
+from .method import Method
 from .specimen import Specimen
 from .wavelengths import passes
 
-# Levels of rare powers for those from 2**-47 on, which one sample of a glossy BSDF
-# in a million carries, or 2**-87, which is what it sends to points beside its lobe: a
-# launch that met them without room would be repeated, and compiled anew. In large
-# collectors the room is made when it is needed.
-USUAL_LEVELS, LEVELS_OF_POINTS = range(10, 15), range(5, 15)
+# Bins of sums that have room for rare powers before any is met, at most.
 MAX_ROOMY_BINS = 2**16
 
 
@@ -47,6 +44,8 @@ class Setup:
     Parameters
     ----------
     settings : MeasurementSettings
+    method : Method
+        Of their estimator.
     specimen : Specimen
     beam : Beam
     collector : CollectorSphere
@@ -61,6 +60,7 @@ class Setup:
     def __init__(
         self,
         settings: MeasurementSettings,
+        method: Method,
         specimen: Specimen,
         beam: Beam,
         collector: CollectorSphere,
@@ -69,6 +69,7 @@ class Setup:
         described: str | None = None,
     ) -> None:
         self.settings = settings
+        self.method = method
         self.specimen = specimen
         self._aim(beam, incident)
         # set if all that rays meet are infinite layers
@@ -93,8 +94,7 @@ class Setup:
         self.orders: tuple[Order, ...] = ()
         self.classes = OrderClasses()
         # of powers beyond the ordinary that sums have room for: what was met so far
-        usual = LEVELS_OF_POINTS if settings.estimator.deposits else USUAL_LEVELS
-        self.levels = usual if self.n_bins <= MAX_ROOMY_BINS else range(0)
+        self.levels = method.levels if self.n_bins <= MAX_ROOMY_BINS else range(0)
 
     def turned(self, beam: Beam, incident: tuple[float, float]) -> Setup:
         """The same setup for another direction of its collimated beam."""
@@ -117,15 +117,13 @@ class Setup:
 
     @property
     def samples(self) -> bool:
-        """Whether rays are needed: always, but for integrals without delta lobes."""
-        return not self.settings.estimator.integrates or mi.has_flag(
-            self.specimen.plane.bsdf.flags(), mi.BSDFFlags.Delta
-        )
+        """Whether rays are needed."""
+        return self.method.samples(self)
 
     @property
     def order(self) -> Order:
-        """What rays are collected: of further events, if first ones are integrated."""
-        return Order(2) if self.settings.estimator.splits else self.settings.order
+        """Which rays are collected."""
+        return self.method.order(self.settings)
 
     def collect_by_distance(self, radii: Floats) -> None:
         """Let ring `i` collect what leaves between ``radii[i - 1]`` and ``radii[i]``.
@@ -139,9 +137,7 @@ class Setup:
     def collect_orders(self, orders: Sequence[Order]) -> None:
         """Let each of the scattering orders have patches and fates of its own."""
         self.orders = tuple(orders)
-        if self.settings.estimator.splits:
-            orders = (self.order,)  # apart from light of one event
-        self.classes = OrderClasses(orders)
+        self.classes = OrderClasses(self.method.kept_apart(orders))
 
     def _patch(self, exits: Exits, d: mi.Vector3f) -> mi.UInt32:
         """Number of the patch of light that arrives in the direction `d`."""

@@ -21,7 +21,6 @@ import numpy as np
 from ..array_types import Flags, Floats, Integers
 from ..results.tally import WEIGHT_SCALE, Fate, PolarisedTally, Tally
 from .exits import Exits
-from .mirror_facets import MirrorFacets
 from .polarisation import n_channels, n_elements, other_elements, power_of
 from .setup import Setup
 
@@ -180,21 +179,20 @@ class Sums:
     ----------
     setup : Setup
     n_batches : int
-    facets : MirrorFacets, optional
-        Whose light of the first order `deposit` takes off: it is known without rays.
+    known : ndarray of float64, shape (n_collected, channels), optional
+        Flux fractions of light that is known without rays, which take it off.
     """
 
     def __init__(
-        self, setup: Setup, n_batches: int = 1, facets: MirrorFacets | None = None
+        self, setup: Setup, n_batches: int = 1, known: Floats | None = None
     ) -> None:
         self.setup = setup
-        self.facets: Any = facets
+        self.known = known
         # all powers are whole numbers
-        self.counted = setup.settings.estimator.counts
+        self.counted = setup.method.counted
         self.capacity = n_batches
         self.n_batches = n_batches = len(setup.classes) * n_batches
-        estimator = setup.settings.estimator
-        self.deposits = estimator.deposits or estimator.splits
+        self.deposits = setup.method.deposits
         self.channels = n_channels()
         self.width = packet_width()
         self.levels = setup.levels
@@ -410,17 +408,9 @@ class Totals:
     def tallies(self, n: int) -> list[Tally]:
         """:class:`Tally` of each of `n` beams, whose batches take turns.
 
-        Of several orders side by side; of `split` light of more events, and of one.
+        Of several orders side by side.
         """
         setup = self.sums.setup
-        if setup.settings.estimator.splits:
-            patches = self.rays[..., : setup.n_collected]
-            fates = self.rays[..., setup.n_collected :].sum(axis=0)
-            each = (
-                self._tallies(n, np.concatenate([hits, fates], axis=-1), within)
-                for hits, within in zip(patches, np.eye(2, dtype=bool))
-            )
-            return [Tally.of_orders(pair) for pair in zip(*each)]
         if not setup.orders:
             return self._tallies(n, self.rays[0], np.array([True]))
         each = (
@@ -430,6 +420,17 @@ class Totals:
                 setup.classes.within(order),
             )
             for order in setup.orders
+        )
+        return [Tally.of_orders(tallies) for tallies in zip(*each)]
+
+    def tallies_by_class(self, n: int) -> list[Tally]:
+        """Those of rays of all classes, with the light of each class side by side."""
+        n_collected = self.sums.setup.n_collected
+        patches = self.rays[..., :n_collected]
+        fates = self.rays[..., n_collected:].sum(axis=0)
+        each = (
+            self._tallies(n, np.concatenate([hits, fates], axis=-1), within)
+            for hits, within in zip(patches, np.eye(len(patches), dtype=bool))
         )
         return [Tally.of_orders(tallies) for tallies in zip(*each)]
 
@@ -456,8 +457,8 @@ class Totals:
         else:
             every = np.ones(len(self.rays), bool)
             incident = self.incident.total(every).powers(scale).astype(kind)
-        if sums.facets is not None:
-            known = sums.facets.flux.reshape(*setup.shape, -1)
+        if sums.known is not None:
+            known = sums.known.reshape(*setup.shape, -1)
             power += known * incident[:, None, None, None]
         hits = hits.reshape(-1, n, *setup.shape).sum(axis=0).astype(np.uint64)
         found = [

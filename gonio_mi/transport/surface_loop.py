@@ -88,7 +88,7 @@ def trace(
 ) -> Exits:
     """Follow every ray through the geometry until it leaves, ends or is cut off.
 
-    `deposits`, a :class:`~.next_event.Deposits`, is told of every event. Rays that were
+    `deposits`, of the estimator `next_event`, is told of every event. Rays that were
     `begun` have one event behind them; their power is beside their flight.
     """
     if dr.hint(begun is None, mode="scalar"):
@@ -115,7 +115,7 @@ def trace(
     # to which of the faces at an edge a ray goes depends on its packet: all of a point
     # may, and packets must be the same however rays are shared among launches
     together = beam.footprint != "point"
-    facets = None if deposits is None else deposits.sums.facets
+    facets = None if deposits is None else deposits.facets
     if facets is not None and not facets.once:
         deposits.subtract_facets(flight.ray, active)
     while active:

@@ -620,7 +620,7 @@ def test_ctrl_c_in_a_stack(run, plugins, tmp_path, check_continued):
 @pytest.mark.usefixtures("sigint")
 def test_ctrl_c_keeps_whole_integrals(run, plugins, tmp_path, monkeypatch):
     """Of those that share kernels all or none: here each has its own."""
-    monkeypatch.setattr("gonio_mi.instrument.measure.MAX_TOGETHER", 1)
+    monkeypatch.setattr("gonio_mi.estimators.Quadrature.together", 1)
     part = tmp_path / "part.npz"
     angles = ("--theta-i", "0", "30", "60", "--estimator", "quadrature", "-q")
     plate = ("measure", "test_interrupted:at=24", *plugins, *angles)

@@ -31,6 +31,7 @@ CORE = (
     "plots",
     "transport",
     "quadrature",
+    "estimators",
     "instrument",
     "campaigns",
     "plugins",

@@ -26,9 +26,9 @@ import gonio_mi as gonio
 from gonio_mi.campaigns.campaign import campaign
 from gonio_mi.collector.directions import direction
 from gonio_mi.errors import SettingError, SpecimenError
-from gonio_mi.instrument import launcher, measure, schedule
+from gonio_mi.estimators import split as method, surface_points
+from gonio_mi.instrument import launcher, schedule
 from gonio_mi.instrument.measure import measure_each
-from gonio_mi.transport import surface_points
 
 COMMON = {"period": "box", "collector": "projected:6x8"}
 INCIDENTS = [(0.0, 0.0), (30.0, 20.0), (75.0, 80.0), (70.0, 5.0)]
@@ -304,7 +304,7 @@ def test_a_campaign_is_of_rays_where_points_do_not_pay(adaptive, monkeypatch):
 @pytest.mark.needs("materials")
 def test_a_campaign_keeps_what_it_found(adaptive, monkeypatch):
     """Where a round is refused late, rays tell it, and no other one anew."""
-    setups, refusals, found = [], [], measure.single_scattering
+    setups, refusals, found = [], [], method.single_scattering
 
     def refused(some, report):
         if any(one.theta_i == 11.25 for one in some):
@@ -313,7 +313,7 @@ def test_a_campaign_keeps_what_it_found(adaptive, monkeypatch):
         setups.extend(some)
         return found(some, report)
 
-    monkeypatch.setattr(measure, "single_scattering", refused)
+    monkeypatch.setattr(method, "single_scattering", refused)
     record = adaptive(15, np.inf)
     assert refusals
     assert str(record.asked.estimator) == "split"

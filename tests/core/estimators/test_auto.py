@@ -10,7 +10,8 @@ import pytest
 
 import gonio_mi as gonio
 from gonio_mi.campaigns.execution import ExecutionContext
-from gonio_mi.instrument import choice
+from gonio_mi.estimators import auto
+from gonio_mi.estimators.next_event import POINT_COST
 from gonio_mi.results.summary import summarize
 from gonio_mi.results.summary_text import summary_text
 
@@ -128,13 +129,13 @@ def test_the_clock_takes_no_part(monkeypatch):
 
 def test_short_runs_decide(monkeypatch):
     """The twin: where deposits must cost next to nothing, rays are taken."""
-    monkeypatch.setattr(choice, "MAX_RATIO", 1e-6)
+    monkeypatch.setattr(auto, "MAX_RATIO", 1e-6)
     assert measured(groove(), rays=60_000).settings["estimator"] == "weighted"
 
 
 def test_rare_bright_places_decide(monkeypatch):
     """The twin: without a look at them deposits seem to cost less."""
-    monkeypatch.setattr(choice, "_hides_bright_places", lambda *_: False)
+    monkeypatch.setattr(auto, "_hides_bright_places", lambda *_: False)
     specimen, settings, _ = CASES["traced, spotted"]
     assert measured(specimen(), **settings).asked.estimator.deposits
 
@@ -143,8 +144,8 @@ def test_rays_cost_what_was_asked_for(monkeypatch):
     """Exact, by the table of costs; points that are asked for stay."""
     record = measured(groove(), rays=60_000)
     assert record.asked.points == 96
-    assert record.provenance.rays == round(60_000 / (1 + choice.POINT_COST * 96))
-    monkeypatch.setattr(choice, "MAX_RATIO", np.inf)  # fewer of them save less
+    assert record.provenance.rays == round(60_000 / (1 + POINT_COST * 96))
+    monkeypatch.setattr(auto, "MAX_RATIO", np.inf)  # fewer of them save less
     assert measured(groove(), rays=60_000, points=40).asked.points == 40
 
 

@@ -20,12 +20,9 @@ from ..results.planning import lobe
 from ..results.tally import Tally
 from ..settings.measurement_settings import MAX_POINTS, Estimator, MeasurementSettings
 from ..settings.values import Order
-from ..transport.mirror_facets import has_mirror_facets
 from ..transport.scene_objects import holds_foreign_plugins
 from ..transport.setup import Setup
 from ..transport.specimen import Specimen
-from .launcher import Launcher
-from .schedule import Round
 
 # Where short runs arrive, whatever directions are measured: a direction has the same
 # bits alone and in any stack. And their seed, of which no measurement's rays are.
@@ -38,9 +35,6 @@ PILOT_RAYS, PILOT_BATCHES = 4, 16
 
 # Rays in each batch of a short run where the first order is known from facets.
 FACET_RAYS = 256
-
-# CPU time of a point, over that of a ray that is traced: 0.13 to 0.7 were measured.
-POINT_COST = 0.5
 
 # Part of the cost of rays that deposits may seem to have, to be taken. The variances of
 # two times 16 batches have by chance a ratio above 3 once in 50 (F distribution), and a
@@ -60,6 +54,7 @@ def chosen(
     specimen: Specimen,
     orders: Sequence[Order],
     tried: Callable[[MeasurementSettings], Setup],
+    short_run: Callable[[Setup, int], Tally],
 ) -> tuple[MeasurementSettings, str]:
     """Settings with the estimator that costs least, and why in words.
 
@@ -73,6 +68,8 @@ def chosen(
     tried : callable
         ``tried(settings)`` sets up the specimen in the pilot's direction, or raises
         SpecimenError where its estimator does not apply.
+    short_run : callable
+        ``short_run(setup, rays)`` sends so many rays in each batch.
     """
     usual = replace(settings, estimator=Estimator.WEIGHTED)
     surfaces = [shape.bsdf() for shape in specimen.surfaces]
@@ -81,7 +78,7 @@ def chosen(
     flat = specimen.plane is not None and not settings.trace
     by_rays = not any(mi.has_flag(one, mi.BSDFFlags.Smooth) for one in flags)
     deposits = replace(settings, estimator=Estimator.NEXT_EVENT)
-    by_facets = by_rays and not (flat or orders) and has_mirror_facets(tried(deposits))
+    by_facets = by_rays and not (flat or orders) and _controls(tried(deposits))
     wish, most = settings.rel_err, INTEGRAL_REL_ERR
     reasons = {
         "a medium is walked through": bool(specimen.media),
@@ -99,7 +96,7 @@ def chosen(
         if holds:
             return usual, f"weighted, for {reason}"
     if not flat:
-        return _traced(settings, usual, tried, by_facets)
+        return _traced(settings, usual, tried, short_run, by_facets)
     integrals = replace(settings, estimator=Estimator.QUADRATURE)
     try:
         tried(integrals)
@@ -112,6 +109,7 @@ def _traced(
     settings: MeasurementSettings,
     usual: MeasurementSettings,
     tried: Callable[[MeasurementSettings], Setup],
+    short_run: Callable[[Setup, int], Tally],
     by_facets: bool,
 ) -> tuple[MeasurementSettings, str]:
     """The same for geometry: short runs of equal cost, and what errors they leave.
@@ -121,22 +119,23 @@ def _traced(
     points = settings.points
     if points == 1 and not by_facets:  # nobody asked for more
         points = min(settings.collector.n_patches, MAX_POINTS)
-    cost = 1.0 if by_facets else 1 + POINT_COST * points
     short = FACET_RAYS if by_facets else PILOT_RAYS
     deposits = replace(settings, estimator=Estimator.NEXT_EVENT, points=points)
+    setup = tried(deposits)
+    cost = setup.method.cost(setup)
     by_rays = settings.rel_err is None and settings.noise is None
     if by_rays:
         deposits = replace(deposits, rays=max(round(settings.rays / cost), 1))
         if deposits.rays < MIN_RAYS * settings.batches:
             return usual, "weighted, for the rays are few"
-    sent = _short_run(tried, usual, round(short * cost))
+    sent = short_run(tried(_short(usual)), round(short * cost))
     if not sent.incident.any():
         return usual, "weighted, for no ray of a short run met the specimen"
     error = _error(settings, sent)
     if by_rays and not by_facets and _hides_bright_places(settings, deposits, sent):
         return usual, "weighted, for next_event may overlook rare bright places"
     # of independent rays: the same error for the square of that in rays
-    other = _error(settings, _short_run(tried, deposits, short))
+    other = _error(settings, short_run(tried(_short(deposits)), short))
     ratio = (other / error) ** 2 if error else np.inf
     part = f"about {ratio:.1g} of the CPU time of weighted, by short runs"
     how = "its first order from facets" if by_facets else f"{points} points"
@@ -145,17 +144,14 @@ def _traced(
     return deposits, f"next_event, {how}, needs {part}"
 
 
-def _short_run(
-    tried: Callable[[MeasurementSettings], Setup],
-    settings: MeasurementSettings,
-    each: int,
-) -> Tally:
-    """Short batches of so many rays."""
+def _short(settings: MeasurementSettings) -> MeasurementSettings:
+    """Settings of a short run, whose number of rays is given with it."""
     short: dict[str, Any] = {"rel_err": None, "noise": None, "seed": PILOT_SEED}
-    short |= {"rays": each * PILOT_BATCHES, "batches": PILOT_BATCHES}
-    setup = tried(replace(settings, **short))
-    sent = Launcher([setup]).tallies([setup], Round((each,) * PILOT_BATCHES))
-    return Tally.join([tally for (tally,) in sent])
+    return replace(settings, **short, batches=PILOT_BATCHES)
+
+
+def _controls(setup: Setup) -> bool:
+    return setup.method.controls(setup)
 
 
 def _hides_bright_places(

@@ -35,11 +35,11 @@ from specimens import (
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
 from gonio_mi.errors import SpecimenError
+from gonio_mi.estimators import next_event
 from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.results.statistics import batch_std_err, student_score
 from gonio_mi.settings.measurement_settings import PILOT_RAYS
 from gonio_mi.single_precision import FEW_ROUNDINGS
-from gonio_mi.transport import next_event
 from gonio_mi.transport.rays import escapes
 from gonio_mi.transport.specimen import Specimen
 

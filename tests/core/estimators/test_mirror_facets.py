@@ -11,11 +11,11 @@ from specimens import MIRROR, both_sided, heightfield, mesh, with_faces
 
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
+from gonio_mi.estimators.mirror_facets import MirrorFacets
 from gonio_mi.instrument.launcher import Launcher
 from gonio_mi.instrument.setup import set_up
 from gonio_mi.mitsuba_compat import triangles_of
 from gonio_mi.settings import MeasurementSettings
-from gonio_mi.transport.mirror_facets import MirrorFacets, has_mirror_facets
 
 HOW = {"period": "box", "collector": "projected:8x12"}
 RAYS = 2**17
@@ -45,7 +45,7 @@ def known(shape, theta_i=30.0, phi_i=0.0, **settings):
     scene = mi.load_dict(shape if is_scene else {"type": "scene", "shape": shape})
     how = {"estimator": "next_event", **HOW, **settings}
     (setup,) = set_up(scene, MeasurementSettings().changed(**how), [(theta_i, phi_i)])
-    return MirrorFacets(setup, mi.Color0f()) if has_mirror_facets(setup) else None
+    return setup.method.control(setup, mi.Color0f())
 
 
 def test_faint_slopes_send_what_facets_send():

@@ -20,12 +20,12 @@ import numpy as np
 
 from ..array_types import Floats, Integers
 from ..mitsuba_compat import FRAME, PARTIALS, mesh_of, triangles_of
-from .exits import Exits
-from .rays import NEARBY, with_normal
-from .scene_objects import traversed
-from .setup import Setup
-from .specimen import Specimen
-from .surface_events import after_event, scattered
+from ..transport.exits import Exits
+from ..transport.rays import NEARBY, with_normal
+from ..transport.scene_objects import traversed
+from ..transport.setup import Setup
+from ..transport.specimen import Specimen
+from ..transport.surface_events import after_event, scattered
 
 # Number of none.
 NO_FACET = 2**32 - 1
@@ -46,7 +46,7 @@ def has_mirror_facets(setup: Setup) -> bool:
     of other meshes may coincide: both are in the sum, and a line meets one of them.
     """
     settings, specimen, beam = setup.settings, setup.specimen, setup.beam
-    if not (settings.estimator.deposits and beam.fills_cell) or setup.orders:
+    if not beam.fills_cell or setup.orders:
         return False
     if mi.is_polarized or specimen.media or specimen.groups:
         return False

@@ -1,4 +1,4 @@
-"""The estimator `split`: light of one event is an integral over the surface.
+"""Light of one event of the estimator `split`, as an integral over the surface.
 
 Of a periodic, opaque surface: points all over it are joined by `eval` to each incident
 direction and to a point of every patch, if nothing stands in the way. All incident
@@ -24,12 +24,11 @@ from ..results.estimates import MIN_EVEN_HITS, SampledEstimates
 from ..results.statistics import student_interval, student_score
 from ..results.tally import Fate, Tally
 from ..settings.measurement_settings import BRANCHES
-from .polarisation import n_channels
-from .rays import NEARBY, departure, escapes, intersect
-from .sampling import apart, is_joint, seeded
-from .setup import Setup
-from .shapes import coincide
-from .surface_events import MAX_POWER, flux_context
+from ..transport.polarisation import n_channels
+from ..transport.rays import NEARBY, departure, escapes, intersect
+from ..transport.sampling import apart, seeded
+from ..transport.setup import Setup
+from ..transport.surface_events import MAX_POWER, flux_context
 
 # Points of each batch to begin with, and at least of a number of rays.
 N_FIRST, N_FIXED = 2**5, 2**7
@@ -58,45 +57,6 @@ BITS = 16
 
 # Tells the points from the rays of the same seed, of any direction.
 SEED = 0x73706C69 << 64
-
-# Beside meshes, shapes that are sampled uniformly.
-SHAPES = ("Rectangle", "Disk", "Sphere", "Cylinder")
-
-
-def check_splittable(setup: Setup) -> None:
-    """Raise SpecimenError for what the estimator is not made for."""
-    specimen, settings = setup.specimen, setup.settings
-    shapes = specimen.scene.shapes()
-    singular = mi.BSDFFlags.Delta, mi.BSDFFlags.Delta1D, mi.BSDFFlags.Null
-    reasons = {
-        "a periodic cell, all of it in a collimated beam": setup.beam.fills_cell
-        and not specimen.groups,
-        "opaque surfaces without gaps": specimen.appears_opaque and not specimen.media,
-        "BSDFs without delta components": not any(
-            mi.has_flag(one.bsdf().flags(), flag) for one in shapes for flag in singular
-        ),
-        "meshes, rectangles, disks, spheres or cylinders": all(
-            isinstance(one, mi.Mesh) or one.class_name() in SHAPES for one in shapes
-        ),
-        "triangles that do not coincide": specimen.is_height_map
-        or not any(coincide(one) for one in shapes if isinstance(one, mi.Mesh)),
-        "rays of all orders": not setup.orders
-        and settings.order.least <= 1
-        and settings.order.most >= settings.max_depth,
-        "an unpolarised variant that is not spectral": not (
-            mi.is_polarized or mi.is_spectral
-        ),
-        "a collector in the far field with patches of angles": (
-            settings.collector_radius == 0 and setup.collector.subdivision.axes is None
-        ),
-        "the sampler sobol": is_joint(setup.sampler),
-        "noise or rays, not rel_err": settings.rel_err is None,
-    }
-    for needed, there in reasons.items():
-        if not there:
-            raise SpecimenError(
-                f"the estimator split needs {needed}: take weighted instead"
-            )
 
 
 @dataclass(frozen=True)
@@ -190,7 +150,7 @@ class SingleScattering:
     def completed(self, tally: Tally) -> Tally:
         """Tally of rays of more events, with this light in place of what they found.
 
-        `tally` holds light of more events and of one, as :meth:`Totals.tallies` says.
+        `tally` holds light of more events and of one, as `tallies` of `split` says.
         """
         tally, first = tally.apart()
         self._check_rays(first)
