@@ -269,7 +269,7 @@ def _remains(options: Namespace, output: Sequence[str], record: Record) -> str:
     if not output:
         return f"{kept} were finished and nothing was saved, because no -o was given"
     kept = f"{' and '.join(output)} holds {kept}"
-    if record.asked.estimator.integrates or options.rel_err is not None:
+    if record.asked.integrates or options.rel_err is not None:
         return kept
     order = record.asked.order
     again = "" if order == ALL_ORDERS else f"--order {order} "

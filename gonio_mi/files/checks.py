@@ -90,10 +90,10 @@ def _check_tally(tally: Tally, record: Record) -> None:
     Every ray in a patch is one in the ledger and the reverse, and light that was
     received had to come. Sums that 64 bits do not hold would be wrong in silence.
     """
-    estimator, integrated = record.asked.estimator, isinstance(tally, Integrals)
+    asked, integrated = record.asked, isinstance(tally, Integrals)
     require(
-        estimator.integrates == integrated,
-        f"its estimator is {estimator} and its errors of integrals are "
+        asked.integrates == integrated,
+        f"its estimator is {asked.estimator} and its errors of integrals are "
         f"{'there' if integrated else 'missing'}",
     )
     for name in tally.arrays:
@@ -103,7 +103,7 @@ def _check_tally(tally: Tally, record: Record) -> None:
     require(
         bool(ledger.direct) or not tally.direct.any(), "it has direct light of no ray"
     )
-    if not (estimator.deposits or estimator.splits):
+    if not (asked.sends_points or asked.joins_points):
         left = (ledger.reflected, ledger.transmitted + ledger.direct)
         for hits, listed in zip(tally.hits, left):
             counted = int(hits.sum())

@@ -15,6 +15,7 @@ from ..campaigns.execution import ExecutionContext, records_of
 from ..campaigns.folder import folder_name
 from ..collector import Subdivision
 from ..errors import LABEL, SettingError, SpecimenError, abridged, warn
+from ..estimators import METHODS
 from ..instrument.specimen_text import SpecimenLike
 from ..progress import MIN_ANNOUNCED, note
 from ..results.azimuth_symmetry import AzimuthSymmetry
@@ -23,6 +24,8 @@ from ..results.patch_means import PatchMeans
 from ..results.prediction_error import expected_noise, prediction_error
 from ..results.record import Record
 from ..settings import Estimator, MeasurementSettings
+from ..settings.measurement_settings import ANY_SPECIMEN
+from ..transport.method import Method
 from .interpolation.lobes import check_table, is_significant
 from .prediction import Prediction
 
@@ -107,7 +110,7 @@ class MeasuredDirections:
                 )
         self.name, self.specimen, self.tolerance = name, specimen, tolerance
         self.where, self.settings = where, settings
-        self.estimators = [Estimator.QUADRATURE, Estimator.SPLIT, Estimator.WEIGHTED]
+        self.estimators = [Estimator.QUADRATURE, Estimator.SPLIT, ANY_SPECIMEN]
         given = {name for name, value in settings.items() if value is not None}
         estimator = MeasurementSettings.among(settings).estimator
         if "estimator" in given and estimator is not Estimator.AUTO:
@@ -115,6 +118,11 @@ class MeasuredDirections:
         self.chosen: Subdivision | None = None  # where no collector was asked for
         self.n_kept, self.announced = 0, False
         self._forget()
+
+    @property
+    def method(self) -> Method:
+        """The estimator that measures, until it is refused."""
+        return METHODS[self.estimators[0]]
 
     def _forget(self) -> None:
         """Begin without any direction."""
@@ -160,7 +168,7 @@ class MeasuredDirections:
         logger.info("%s: %d more", label, len(new))
         part = f"{self.estimators[0]}_{self.n_rounds:03d}"
         settings = self.settings | self._goals(goal)
-        if seed is not None and self.estimators[0].splits:
+        if seed is not None and self.method.shares_points:
             settings["seed"] = seed
         known, expected = len(self.records.keys() - set(new)), self.expected
         where = replace(self.where, measured=known, expected=expected)
@@ -209,12 +217,12 @@ class MeasuredDirections:
             if len(self.estimators) == 1:
                 raise
             own = settings["estimator"]
-            if not (self.records and own.splits):
+            if not (self.records and METHODS[own].shares_points):
                 raise EstimatorRefusedError(error) from error
             logger.info("%s: rays alone in this round: %s", self.name, error)
-        settings = settings | {"estimator": Estimator.WEIGHTED}
+        settings = settings | {"estimator": ANY_SPECIMEN}
         if where.folder is not None:
-            where = replace(where, folder=f"{where.folder}_{Estimator.WEIGHTED}")
+            where = replace(where, folder=f"{where.folder}_{ANY_SPECIMEN}")
         stack = self._stack(incidents, where, settings, label)
         # what holds of intervals and sums of points and rays holds of rays alone
         return replace(stack, asked=replace(stack.asked, estimator=own))
@@ -226,7 +234,7 @@ class MeasuredDirections:
         """
         if len(self.estimators) == 1:
             return
-        settings = self.settings | {"estimator": Estimator.WEIGHTED, "rays": PROBE_RAYS}
+        settings = self.settings | {"estimator": ANY_SPECIMEN, "rays": PROBE_RAYS}
         label = f"{abridged(self.name, 12)}, is sample() like eval()?"
         record = self._kept("functions", [incident], settings, label)
         integral = self.records[incident]
@@ -308,7 +316,7 @@ class MeasuredDirections:
 
     def _goals(self, noise: float) -> dict[str, Any]:
         """Estimator, and how precise each direction is to be."""
-        if self.estimators[0].integrates:
+        if self.method.integrates:
             rel_err = INTEGRAL * self.tolerance
             return {"estimator": self.estimators[0], "rel_err": rel_err}
         return {"estimator": self.estimators[0], "noise": noise}

@@ -13,6 +13,7 @@ from ..collector import EqualAngle, RingsAndSectors, Subdivision
 from ..errors import LABEL, SettingError, SpecimenError, abridged
 from ..results.prediction_error import prediction_error
 from ..results.record import Record
+from ..results.tally import holds_integrals
 from .measured_directions import MeasuredDirections
 from .prediction import Prediction
 
@@ -174,7 +175,7 @@ def delta_fraction(record: Record) -> float:
     """
     total = record.flux_fraction.sum()
     delta = record.direct.sum()
-    if record.asked.estimator.integrates:
+    if holds_integrals(record.tallies):
         flux = record.flux_fraction.sum(axis=-1)
         excess = np.maximum(flux - _beside(flux), 0)
         delta += excess[record.counts > 0].sum()

@@ -120,7 +120,7 @@ class WholeBsdf:
 
     def _measured(self) -> Record:
         """Recognise the specimen, and choose directions until they hold."""
-        if not (self.directions.estimators[0].integrates or self.knows_peaks):
+        if not (self.directions.method.integrates or self.knows_peaks):
             check_peaks(self.directions, self.theta_max)
             self.knows_peaks = True
         angles = np.linspace(0, self.theta_max, self.n_first[0]).tolist()
@@ -303,7 +303,7 @@ class WholeBsdf:
         for noise in (NOISE, TESTING, CONFIRMING):
             self.directions.measure(left, purpose, noise, self.seed + 1)
             found |= {one: self.directions.error(prediction, *one) for one in left}
-            if self.directions.estimators[0].integrates:
+            if self.directions.method.integrates:
                 break
             left = [
                 one for one in left if may_exceed(found[one], self.tolerance, noise)

@@ -316,7 +316,7 @@ def shared_seeds(one: Mapping[str, str], other: Mapping[str, str]) -> str:
 def reported_names(asked: MeasurementSettings, provenance: Provenance) -> list[str]:
     """Names of the specified settings that a record reports: those with an effect."""
     without_effect = {
-        "points": not asked.estimator.deposits,
+        "points": not asked.sends_points,
         "max_scatterings": not provenance.media,
         "rel_err": asked.rel_err is None,
         "noise": asked.noise is None,

@@ -282,7 +282,7 @@ def _warnings(record: Record, directions: Sequence[DirectionSummary]) -> list[st
     ledger, provenance = record.ledger, record.provenance
     sentences = list(provenance.defects)
     called = "sample()"
-    if record.asked.estimator.deposits:
+    if record.asked.sends_points:
         called += " or eval()"
     if ledger.invalid:
         sentences.append(

@@ -82,7 +82,7 @@ def _settings_text(summary: Summary) -> str:
     radius = asked.collector_radius
     distance = f"radius {radius:g}" if radius else "far field"
     collector = f"{record.subdivision}, hemispheres {asked.hemispheres}, {distance}"
-    points = f"points {asked.points}, " if asked.estimator.deposits else ""
+    points = f"points {asked.points}, " if asked.sends_points else ""
     method = (
         f"estimator {asked.estimator}, {points}sampler {_or_unknown(own.sampler)}, "
         f"transport {_or_unknown(own.transport)}, period {joined(asked.period)}, "
@@ -310,7 +310,7 @@ def _ledger_text(summary: Summary) -> str:
             f"{percent(beyond, emitted)} % of the rays left on the other side, where "
             "nothing was collected"
         )
-    if not summary.record.asked.estimator.counts:
+    if any(tally.scale != 1 for tally in summary.record.tallies):
         totals = "dhr and dht above are" if summary.record.has_lower else "dhr above is"
         lines += [f"this table counts rays, not power; {totals} of power"]
         said = [f"{row}: {text}" for row, text in MEANINGS.items() if shown.get(row)]

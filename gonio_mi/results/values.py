@@ -23,7 +23,7 @@ from .estimates import (
 )
 from .mueller import MuellerEstimates, checked_stokes
 from .provenance import FACETS, Provenance
-from .tally import Integrals, Ledger, PolarisedTally, Tally
+from .tally import Integrals, Ledger, PolarisedTally, Tally, holds_integrals
 
 # What a record tells of each patch or of a hemisphere, and which are of the latter.
 QUANTITIES, TOTALS = ("brdf", "btdf", "dhr", "dht"), ("dhr", "dht")
@@ -261,7 +261,7 @@ class MeasuredValues:
         known, or for integrals.
         """
         own = self.provenance
-        if not own.seeds or self.asked.estimator.integrates:
+        if not own.seeds or holds_integrals(self.tallies):
             return {}
         keys = {"seed": ", ".join(map(str, own.seeds))}
         return keys | ({} if own.sampler is None else {"sampler": own.sampler})
@@ -466,14 +466,14 @@ class MeasuredValues:
         if isinstance(tally, Integrals):
             return IntegralEstimates(tally, passes=passes)
         kind = SampledEstimates
-        if self.asked.estimator.splits:
+        if self.asked.joins_points:
             kind = SplitEstimates
         elif self.provenance.transport == FACETS:
             kind = ControlledEstimates
         return kind(
             tally,
             independent=self.provenance.sampler == "independent",
-            deposited=self.asked.estimator.deposits,
+            deposited=self.asked.sends_points,
             passes=passes,
         )
 

@@ -78,39 +78,15 @@ class Estimator(str, Enum):
         """The estimator of a name; ValueError for any other."""
         return cls(checked_choice(label, value, [str(one) for one in cls]))
 
-    @property
-    def counts(self) -> bool:
-        """Whether rays live or end, and are counted: all powers are whole numbers."""
-        return self is Estimator.ANALOG
-
-    @property
-    def integrates(self) -> bool:
-        """Whether ``eval`` is integrated, and rays are for delta components only."""
-        return self is Estimator.QUADRATURE
-
-    @property
-    def deposits(self) -> bool:
-        """Whether ``eval`` is deposited at every event."""
-        return self is Estimator.NEXT_EVENT
-
-    @property
-    def splits(self) -> bool:
-        """Whether light of one event is integrated, and rays are for that of more."""
-        return self is Estimator.SPLIT
-
-    @property
-    def follows_exits(self) -> bool:
-        """Whether all that rays bring is collected where they leave, with its order.
-
-        Of `split` too, whose rays bring the light of more than one event.
-        """
-        return not (self.integrates or self.deposits)
-
     def __str__(self) -> str:
         return self.value
 
     def __repr__(self) -> str:
         return repr(self.value)
+
+
+# The estimator that applies to whatever can be measured.
+ANY_SPECIMEN = Estimator.WEIGHTED
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -461,7 +437,7 @@ class MeasurementSettings:
     @property
     def precision(self) -> float | None:
         """Relative standard error of the patches worth reporting at which rays end."""
-        return None if self.estimator.integrates else self.rel_err
+        return None if self.integrates else self.rel_err
 
     @property
     def integral_err(self) -> float:
@@ -469,11 +445,26 @@ class MeasurementSettings:
         return INTEGRAL_ERR if self.rel_err is None else self.rel_err
 
     @property
+    def integrates(self) -> bool:
+        """Whether `eval` is integrated, and rays are for delta components only."""
+        return self.estimator is Estimator.QUADRATURE
+
+    @property
+    def sends_points(self) -> bool:
+        """Whether events deposit `eval` towards `points`."""
+        return self.estimator is Estimator.NEXT_EVENT
+
+    @property
+    def joins_points(self) -> bool:
+        """Whether points of the surface tell the light of one event."""
+        return self.estimator is Estimator.SPLIT
+
+    @property
     def n_looks(self) -> int:
         """Directions that a ray looks into at each event, or goes on in."""
-        if self.estimator.splits:
+        if self.joins_points:
             return BRANCHES
-        return self.points if self.estimator.deposits else 1
+        return self.points if self.sends_points else 1
 
     def changed(self, **given: Any) -> MeasurementSettings:
         """These settings with those that are `given`; None leaves one as it is.

@@ -40,6 +40,8 @@ class Method:
         Whether incident directions are finished one after the other, as integrals.
     together : int or None
         Incident directions that :meth:`begin` takes at once; None for all.
+    shares_points : bool
+        Whether incident directions share random points, and with them their chance.
     task : int or None
         Incident directions of a campaign's task; None where their rays tell.
     levels : range
@@ -52,6 +54,7 @@ class Method:
     follows_exits = True
     resumes = True
     integrates = False
+    shares_points = False
     together: int | None = None
     task: int | None = None
     levels = USUAL_LEVELS

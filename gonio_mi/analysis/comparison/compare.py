@@ -21,7 +21,12 @@ from ...errors import (
 from ...files.measured_table import ANGLE_DIGITS, COLUMNS, NUMBERS, MeasuredTable
 from ...instrument.specimen_text import SpecimenLike
 from ...results.record import Record, checked_records
-from ...results.tally import ELEMENT_NAMES, PolarisedTally, without_chance
+from ...results.tally import (
+    ELEMENT_NAMES,
+    PolarisedTally,
+    holds_integrals,
+    without_chance,
+)
 from .agreement import MIN_STUDENT_HITS, PointSet, judge, mostly_few
 from .comparison import Comparison
 from .measure_like import is_specimen, measure_like
@@ -268,5 +273,5 @@ def _as_channels(record: Record) -> Record:
 
 def _is_even(record: Record) -> bool:
     """Whether its rays are quasi-Monte Carlo: more even than independent ones."""
-    sampled = not record.asked.estimator.integrates
+    sampled = not holds_integrals(record.tallies)
     return sampled and record.provenance.sampler != "independent"

@@ -18,8 +18,8 @@ from ...files.measured_table import MeasuredTable
 from ...instrument.specimen_text import SpecimenLike
 from ...progress import counted
 from ...results.record import Record, wavelengths_nm
-from ...results.tally import without_chance
-from ...settings import Estimator
+from ...results.tally import holds_integrals, without_chance
+from ...settings.measurement_settings import ANY_SPECIMEN
 from .pairing import pole_angle
 
 # Distance in scene units that stands for a source far away.
@@ -248,8 +248,7 @@ def first_that_can(
     while len(ways) > 1:
         try:
             record = measure_whole(specimen, **ways[0] | own)
-            sampled = not record.asked.estimator.integrates
-            if sampled or without_chance(record.tallies):
+            if not holds_integrals(record.tallies) or without_chance(record.tallies):
                 return record
         except (SpecimenError, VariantError):
             pass
@@ -292,8 +291,8 @@ def _like_record(
             f"the record was lit by {emitter:.60}, which it does not hold: measure the "
             "specimen under that emitter too, and compare the two records"
         )
-    sampled = not record.asked.estimator.integrates
-    names = (*REPEATED_SETTINGS, *(SAMPLING_SETTINGS if sampled else ()))
+    sampling = () if holds_integrals(record.tallies) else SAMPLING_SETTINGS
+    names = (*REPEATED_SETTINGS, *sampling)
     again = {name: known[name] for name in names if known.get(name) is not None}
     given = {name: value for name, value in settings.items() if value is not None}
     if given.keys() & {"rel_err", "noise", "rays"}:
@@ -310,11 +309,11 @@ def _like_record(
         stack = _stack(specimen, incidents, again, progress)
     except SpecimenError:
         # of a campaign's directions, those that it refuses are of rays alone
-        if "estimator" in given or not record.asked.estimator.splits:
+        if "estimator" in given or not record.asked.joins_points:
             raise
-        again["estimator"] = Estimator.WEIGHTED
+        again["estimator"] = ANY_SPECIMEN
         if "folder" in again:  # which holds the settings of before
-            again["folder"] = f"{again['folder']}_{Estimator.WEIGHTED}"
+            again["folder"] = f"{again['folder']}_{ANY_SPECIMEN}"
         stack = _stack(specimen, incidents, again, progress)
     return stack if record.stacked else stack[0]
 

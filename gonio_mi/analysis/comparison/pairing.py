@@ -15,6 +15,7 @@ from ...files.measured_table import MeasuredTable
 from ...results.azimuth_symmetry import sharing
 from ...results.provenance import shared_seeds
 from ...results.record import Record
+from ...results.tally import holds_integrals
 from ...settings import MeasurementSettings, declarations
 from .agreement import PointSet, Readings
 from .patch_variation import REMEDY, variation_within
@@ -241,7 +242,7 @@ def check_uncertainties(record: Record) -> None:
     """Raise ValueError for a record whose scatter is not known."""
     if record.n_batches >= 2 or all(one.binomial for one in record.estimates):
         return
-    if record.asked.estimator.integrates:
+    if holds_integrals(record.tallies):
         raise SettingError(
             "the record must be of rays, whose scatter is known, got integrals: give "
             "the specimen instead, or measure it with the estimator weighted"

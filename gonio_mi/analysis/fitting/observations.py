@@ -10,7 +10,7 @@ from ...collector.directions import direction
 from ...errors import SettingError
 from ...files.measured_table import MeasuredTable
 from ...results.record import Record
-from ...results.tally import without_chance
+from ...results.tally import holds_integrals, without_chance
 from .predictions import ConePredictions, PatchPredictions
 
 # Relative error of the integrals of a model, in no error bar of a record of integrals;
@@ -45,8 +45,8 @@ class RecordObservations:
         self.predictions = _predictions(single)
         self.values = self._kept(single.flux_fraction)
         (self._tally,) = single.tallies
-        integrated = single.asked.estimator.integrates
-        self._has_batches = not integrated and self._tally.n_batches > 1
+        sampled = not holds_integrals(single.tallies)
+        self._has_batches = sampled and self._tally.n_batches > 1
         self.stated = not without_chance(single.tallies)
 
     def variances(self, predicted: Floats) -> Floats:

@@ -137,7 +137,7 @@ def test_rare_bright_places_decide(monkeypatch):
     """The twin: without a look at them deposits seem to cost less."""
     monkeypatch.setattr(auto, "_hides_bright_places", lambda *_: False)
     specimen, settings, _ = CASES["traced, spotted"]
-    assert measured(specimen(), **settings).asked.estimator.deposits
+    assert measured(specimen(), **settings).asked.sends_points
 
 
 def test_rays_cost_what_was_asked_for(monkeypatch):
