@@ -176,7 +176,7 @@ def unmoved(request, monkeypatch, tmp_path_factory):
     depends on how long ago another test wrote one, and on how slow the machine is.
     Without another test's BSDFs too: Dr.Jit records the calls of all that exist.
     """
-    from gonio_mi.transport.shapes import forget
+    from gonio_mi.specimen.shapes import forget
 
     if not {*VARIANTS, "variant", "polarised"} & {*request.fixturenames}:
         _set_variant(VARIANTS["mono"])

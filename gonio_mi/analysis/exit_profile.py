@@ -16,15 +16,15 @@ from ..errors import (
     shown,
 )
 from ..instrument.incidence import incident_angles
-from ..instrument.loading import load_specimen
 from ..instrument.measure import send_all
 from ..instrument.recording import records_of
 from ..instrument.setup import own_settings, set_up
-from ..instrument.specimen_text import SpecimenLike, specimen_name
+from ..kernels import launches_kernels
 from ..results.record import Record
 from ..results.tally import Ledger, Tally, grouped
 from ..settings import MeasurementSettings
-from ..transport.kernels import launches_kernels
+from ..specimen.loading import load_specimen
+from ..specimen.specimen_text import SpecimenLike, specimen_name
 
 MAX_RINGS = 10_000
 RADII = "numbers of at least 0 and less than 1e15"

@@ -15,15 +15,15 @@ import numpy as np
 from ..array_types import Floats, Integers
 from ..collector.directions import direction
 from ..errors import SpecimenError, checked_count, checked_number
-from ..instrument.loading import load_specimen
-from ..instrument.specimen_text import SpecimenLike
+from ..kernels import launches_kernels
 from ..mitsuba_compat import SURFACE, triangles_of
 from ..plots.figure import finished, new_figure
 from ..settings.values import checked_period
 from ..single_precision import FEW_ROUNDINGS
-from ..transport.kernels import launches_kernels
-from ..transport.rays import departure, escapes, intersect
-from ..transport.specimen import Specimen
+from ..specimen.loading import load_specimen
+from ..specimen.rays import departure, escapes, intersect
+from ..specimen.specimen import Specimen
+from ..specimen.specimen_text import SpecimenLike
 from .smith import (
     DISTRIBUTIONS,
     MIN_ALPHA,

@@ -16,7 +16,7 @@ from ..errors import SettingError, SettingTypeError, checked_count, shown
 from ..instrument.incidence import incident_angles
 from ..results.record import Record
 from ..settings import MeasurementSettings
-from ..transport.variants import check_unpolarised, check_variant, is_parallel
+from ..variants import check_unpolarised, check_variant, is_parallel
 from .execution import ExecutionContext, records_of
 
 # Workers, and threads of each.
@@ -78,7 +78,7 @@ def campaign(
         arguments, a campaign that was killed or interrupted measures only what is
         missing. What was measured otherwise is refused: with other settings, versions
         or plugin files, or specimens whose files or data have changed since, as far as
-        their ``digest`` shows it (:func:`gonio_mi.transport.digest.digest`).
+        their ``digest`` shows it (:func:`gonio_mi.specimen.digest.digest`).
     plugins : sequence of path
         Python files that register plugins, to be run in each worker first.
     threads : int, optional

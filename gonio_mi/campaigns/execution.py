@@ -29,10 +29,10 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import SettingError, warn
-from ..instrument.loading import loaded_once
 from ..progress import bar
 from ..results.provenance import DIGESTS
 from ..results.record import Record
+from ..specimen.loading import loaded_once
 from .folder import CampaignFolder
 from .tasks import TASKS, Task, check_picklable, run_task, tasks_of
 

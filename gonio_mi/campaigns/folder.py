@@ -23,8 +23,8 @@ import numpy as np
 from .. import files
 from ..errors import MAX_VALUE, FileFormatError, SettingError, abridged_apart
 from ..files.writing import remove_forgotten
-from ..instrument.loading import existing
 from ..results.record import Record
+from ..specimen.loading import existing
 from .tasks import Task
 
 logger = logging.getLogger(__name__)

@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike
 from ..errors import LostLightWarning, SettingError, warn
 from ..instrument.incidence import incident_angles
 from ..instrument.measure import measure_each, measure_stacks
-from ..instrument.specimen_text import SpecimenLike
 from ..results.record import Record
 from ..results.summary import lost_light
 from ..settings import MeasurementSettings, declarations, numpydoc
+from ..specimen.specimen_text import SpecimenLike
 from .campaign import campaign
 
 

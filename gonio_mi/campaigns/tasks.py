@@ -16,14 +16,14 @@ import numpy as np
 from ..errors import SettingError, SpecimenError, frames, shown
 from ..estimators import METHODS
 from ..instrument.incidence import described_digest, emitter_scene
-from ..instrument.loading import load_plugin_file, load_specimen
 from ..instrument.measure import measure_each
-from ..instrument.specimen_text import specimen_name
 from ..results.record import Record
 from ..settings import MeasurementSettings
+from ..specimen.digest import file_digest, plugins_digest
+from ..specimen.loading import load_plugin_file, load_specimen
+from ..specimen.specimen import Specimen
+from ..specimen.specimen_text import specimen_name
 from ..threads import drjit_lock, thread_count
-from ..transport.digest import file_digest, plugins_digest
-from ..transport.specimen import Specimen
 
 # Rays of one task, if there are directions enough for so many tasks: setting up a
 # specimen is worth some 1e6 rays, but what is finished is kept, and shared out among

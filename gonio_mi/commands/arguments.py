@@ -21,8 +21,8 @@ from ..errors import (
     printable,
     shortened,
 )
-from ..instrument.specimen_text import SpecimenLike
 from ..settings import Kind, MeasurementSettings, declarations
+from ..specimen.specimen_text import SpecimenLike
 from ..start_up import PROGRAM
 from .file_kinds import check_kind
 
@@ -192,8 +192,8 @@ def specimen_of(
     parameters : dict
         Values for the ``$name`` parameters of a scene file.
     """
-    from ..instrument.loading import load_plugin_file
-    from ..instrument.specimen_text import parse_specimen
+    from ..specimen.loading import load_plugin_file
+    from ..specimen.specimen_text import parse_specimen
 
     set_variant(options.variant, variants)
     for path in options.plugin:
@@ -226,7 +226,7 @@ def set_variant(variant: str, variants: Sequence[str] = ()) -> None:
     """Set one of some Mitsuba variants; by default of those that measure."""
     import mitsuba as mi
 
-    from ..transport.variants import unpolarised_variants
+    from ..variants import unpolarised_variants
 
     usable = variants or unpolarised_variants()
     if variant not in usable:

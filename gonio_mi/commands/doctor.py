@@ -17,7 +17,7 @@ from .. import llvm
 from ..campaigns.measure import measure_whole
 from ..errors import LLVMError, to_install
 from ..results.record import Record
-from ..transport.variants import parallel_variants
+from ..variants import parallel_variants
 from .arguments import DEFAULT_VARIANT, set_variant
 
 REQUIRED = ("gonio-mi", "mitsuba", "drjit", "numpy", "scipy", "OpenEXR")

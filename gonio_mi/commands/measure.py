@@ -35,13 +35,13 @@ from ..campaigns.campaign import campaign
 from ..campaigns.measure import measure
 from ..errors import LostLightWarning, SettingError
 from ..instrument.measure import measure_orders
-from ..instrument.specimen_text import SpecimenLike
 from ..plots import ANIMATION_ENDINGS, FIGURE_ENDINGS
 from ..results.record import Record
 from ..results.summary import summarize
 from ..results.summary_text import summary_text
 from ..results.tally import grouped
 from ..settings.values import ALL_ORDERS, Order
+from ..specimen.specimen_text import SpecimenLike
 from .arguments import (
     DONE,
     INCOMPLETE,
@@ -158,7 +158,7 @@ def _run(options: Namespace, orders: Sequence[str] = ()) -> int:
     for path in options.output:
         _check_kind(path)
         files.check_output(path, files.ENDINGS)
-    from ..transport.variants import parallel_variants
+    from ..variants import parallel_variants
 
     specimen, parameters = specimen_of(options.specimen, options, parallel_variants())
     check_not_read(specimen, options.specimen, options.output)

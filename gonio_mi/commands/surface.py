@@ -19,9 +19,9 @@ from typing import Any
 
 from ..annexes import ask
 from ..errors import SettingError
-from ..instrument.loading import surface_specimen
-from ..instrument.mesh import NORMALS, mesh
-from ..instrument.specimen_text import SpecimenLike, parse_specimen
+from ..specimen.loading import surface_specimen
+from ..specimen.mesh import NORMALS, mesh
+from ..specimen.specimen_text import SpecimenLike, parse_specimen
 from ..surfaces.height_maps import is_height_map
 from ..surfaces.heights import FILLS, FORMS
 from ..surfaces.meshes import is_mesh
@@ -152,8 +152,8 @@ def prepared_surface(specimen: SpecimenLike, options: Namespace) -> Any:
 
 def tell_mesh(specimen: Any, options: Namespace) -> None:
     """Print in one line how a mesh is understood; nothing of other specimens."""
-    from ..instrument.loading import load_specimen
-    from ..transport.shapes import bounds
+    from ..specimen.loading import load_specimen
+    from ..specimen.shapes import bounds
 
     if not is_mesh(options.specimen):
         return

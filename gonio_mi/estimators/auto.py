@@ -20,9 +20,9 @@ from ..results.planning import lobe
 from ..results.tally import Tally
 from ..settings.measurement_settings import MAX_POINTS, Estimator, MeasurementSettings
 from ..settings.values import Order
-from ..transport.scene_objects import holds_foreign_plugins
+from ..specimen.scene_objects import holds_foreign_plugins
+from ..specimen.specimen import Specimen
 from ..transport.setup import Setup
-from ..transport.specimen import Specimen
 
 # Where short runs arrive, whatever directions are measured: a direction has the same
 # bits alone and in any stack. And their seed, of which no measurement's rays are.

@@ -20,11 +20,11 @@ import numpy as np
 
 from ..array_types import Floats, Integers
 from ..mitsuba_compat import FRAME, PARTIALS, mesh_of, triangles_of
+from ..specimen.rays import NEARBY, with_normal
+from ..specimen.scene_objects import traversed
+from ..specimen.specimen import Specimen
 from ..transport.exits import Exits
-from ..transport.rays import NEARBY, with_normal
-from ..transport.scene_objects import traversed
 from ..transport.setup import Setup
-from ..transport.specimen import Specimen
 from ..transport.surface_events import after_event, scattered
 
 # Number of none.

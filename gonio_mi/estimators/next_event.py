@@ -13,11 +13,11 @@ import numpy as np
 
 from ..errors import SpecimenError
 from ..single_precision import FEW_ROUNDINGS
+from ..specimen.rays import Flight, departure, escapes
 from ..transport.exits import Exits
 from ..transport.launch import LaunchedRays
 from ..transport.method import Method
 from ..transport.polarisation import in_instrument_frames, power_of, product
-from ..transport.rays import Flight, departure, escapes
 from ..transport.setup import Setup
 from ..transport.surface_events import (
     MAX_POWER,

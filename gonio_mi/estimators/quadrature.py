@@ -16,10 +16,10 @@ from ..errors import SpecimenError
 from ..quadrature.integrate import integrate_each
 from ..results.tally import WEIGHT_SCALE, Integrals, Tally
 from ..settings.values import ALL_ORDERS
+from ..specimen.wavelengths import wavelength_lanes
 from ..transport.method import Method
 from ..transport.setup import Setup
-from ..transport.variants import check_unpolarised
-from ..transport.wavelengths import wavelength_lanes
+from ..variants import check_unpolarised
 
 
 class Quadrature(Method):

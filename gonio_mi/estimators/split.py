@@ -16,13 +16,13 @@ from ..progress import bar
 from ..results.tally import Fate, Tally
 from ..settings.measurement_settings import BRANCHES
 from ..settings.values import Order
+from ..specimen.rays import Flight
+from ..specimen.shapes import coincide
 from ..transport.exits import of_order
 from ..transport.launch import LaunchedRays
 from ..transport.method import Method
-from ..transport.rays import Flight
 from ..transport.sampling import apart, is_joint
 from ..transport.setup import Setup
-from ..transport.shapes import coincide
 from ..transport.sums import Totals
 from .surface_points import SingleScattering, single_scattering
 

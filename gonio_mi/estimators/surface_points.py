@@ -24,8 +24,8 @@ from ..results.estimates import MIN_EVEN_HITS, SampledEstimates
 from ..results.statistics import student_interval, student_score
 from ..results.tally import Fate, Tally
 from ..settings.measurement_settings import BRANCHES
+from ..specimen.rays import NEARBY, departure, escapes, intersect
 from ..transport.polarisation import n_channels
-from ..transport.rays import NEARBY, departure, escapes, intersect
 from ..transport.sampling import apart, seeded
 from ..transport.setup import Setup
 from ..transport.surface_events import MAX_POWER, flux_context

@@ -13,8 +13,8 @@ from ..collector import Subdivision
 from ..collector.directions import direction
 from ..errors import SettingError, SettingTypeError, checked_number, shown, warn
 from ..settings.values import checked_incident
-from ..transport.digest import emitter_digest
-from .loading import loaded
+from ..specimen.digest import emitter_digest
+from ..specimen.loading import loaded
 
 # Degrees that are asked for, and decimals from which they are known again in radians:
 # of the angles below 90 degrees in radians that have three, one in 87 is any of these.

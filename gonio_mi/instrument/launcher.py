@@ -7,14 +7,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
+from ..kernels import check_all_counted
 from ..results.tally import Tally
-from ..transport.kernels import check_all_counted
+from ..specimen.wavelengths import wavelength_lanes
 from ..transport.launch import Launch, launch, traces
 from ..transport.morton import block_bits, chunk_lanes
 from ..transport.sampling import is_joint
 from ..transport.setup import Setup
 from ..transport.sums import n_numbers
-from ..transport.wavelengths import wavelength_lanes
 from .schedule import Round, Target
 
 # Rays per kernel launch, at most, and points or branches. For samplers other than

@@ -15,22 +15,22 @@ from numpy.typing import ArrayLike
 
 from ..errors import SettingError, VariantError, check_memory, is_ctrl_c, shown
 from ..estimators import METHODS
+from ..kernels import launches_kernels
 from ..progress import Announcement, bar
 from ..results.record import Record
 from ..results.tally import Tally, batch_sizes
 from ..settings import MeasurementSettings
 from ..settings.values import Order
-from ..transport.kernels import launches_kernels
+from ..specimen.loading import check_named_files, load_specimen
+from ..specimen.specimen_text import SpecimenLike, specimen_name
 from ..transport.polarisation import n_channels, n_elements
 from ..transport.setup import Setup
-from ..transport.variants import is_parallel
+from ..variants import is_parallel
 from .incidence import incident_angles
 from .launcher import Launcher, even_part, round_rays
-from .loading import check_named_files, load_specimen
 from .recording import check_resumable, record_of, records_of, warn_of_interruption
 from .schedule import Target, rays_sent, rounds, schedule
 from .setup import own_settings, set_up
-from .specimen_text import SpecimenLike, specimen_name
 
 logger = logging.getLogger(__name__)
 

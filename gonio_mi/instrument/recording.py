@@ -27,12 +27,12 @@ from ..results.provenance import Provenance, settings_mapping
 from ..results.record import Record
 from ..results.tally import Ledger, Tally, batch_sizes
 from ..settings import MeasurementSettings
+from ..specimen.scene_objects import class_of
+from ..specimen.wavelengths import channel_names
 from ..transport.launch import transport_of
 from ..transport.sampling import sampler_name
-from ..transport.scene_objects import class_of
 from ..transport.setup import Setup
-from ..transport.variants import processor
-from ..transport.wavelengths import channel_names
+from ..variants import processor
 from .schedule import Target, rays_sent, rounds
 
 # Light is said to be created where the intervals of this level begin above all that

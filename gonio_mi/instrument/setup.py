@@ -21,18 +21,18 @@ from ..settings import (
     MeasurementSettings,
     Order,
 )
+from ..specimen.bsdf_trial import check_works, warn_of_roughness
+from ..specimen.loading import loaded
+from ..specimen.media import check_media, phase_defect
+from ..specimen.scene_objects import foreign_plugins
+from ..specimen.specimen import Specimen
+from ..specimen.wavelengths import check_covered, passes, wavelength_lanes
 from ..transport.beam import Beam
-from ..transport.bsdf_trial import check_works, warn_of_roughness
 from ..transport.collector_sphere import CollectorSphere
-from ..transport.media import check_media, phase_defect
 from ..transport.sampling import check_sampler
-from ..transport.scene_objects import foreign_plugins
 from ..transport.setup import Setup
-from ..transport.specimen import Specimen
-from ..transport.wavelengths import check_covered, passes, wavelength_lanes
 from .incidence import collimated, described_digest, emitter_scene, towards
 from .launcher import Launcher
-from .loading import loaded
 from .schedule import Round
 
 # Of specimens with media: by variant, wavelengths, digest and classes in Python.
@@ -161,7 +161,7 @@ def _check_specimen(specimen: Specimen, settings: MeasurementSettings) -> None:
     lanes = [wavelength_lanes(nm) for nm in passes(settings.wavelengths)]
     bsdfs = [surface.bsdf() for surface in specimen.surfaces]
     method = METHODS[settings.estimator]
-    check_works(bsdfs, lanes[0], method)
+    check_works(bsdfs, lanes[0], method.functions)
     warn_of_roughness(bsdfs)
     if mi.is_spectral:
         check_covered([*bsdfs, *specimen.media], settings.wavelengths)

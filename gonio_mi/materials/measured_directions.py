@@ -16,7 +16,6 @@ from ..campaigns.folder import folder_name
 from ..collector import Subdivision
 from ..errors import LABEL, SettingError, SpecimenError, abridged, warn
 from ..estimators import METHODS
-from ..instrument.specimen_text import SpecimenLike
 from ..progress import MIN_ANNOUNCED, note
 from ..results.azimuth_symmetry import AzimuthSymmetry
 from ..results.campaign_outcome import PredictionError
@@ -25,6 +24,7 @@ from ..results.prediction_error import expected_noise, prediction_error
 from ..results.record import Record
 from ..settings import Estimator, MeasurementSettings
 from ..settings.measurement_settings import ANY_SPECIMEN
+from ..specimen.specimen_text import SpecimenLike
 from ..transport.method import Method
 from .interpolation.lobes import check_table, is_significant
 from .prediction import Prediction

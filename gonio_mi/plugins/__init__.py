@@ -10,7 +10,7 @@ import sys
 import mitsuba as mi
 
 from ..annexes import doors
-from ..transport.kernels import know_own_variant, orderly
+from ..kernels import know_own_variant, orderly
 
 __all__ = ["MODULES", "modules", "register"]
 

@@ -14,8 +14,8 @@ from ..array_types import Flags, Floats, Singles
 from ..collector import Subdivision
 from ..collector.directions import angles, direction
 from ..errors import SpecimenError
-from ..transport.plane import repeated
-from ..transport.scene_objects import holds_foreign_plugins
+from ..specimen.plane import repeated
+from ..specimen.scene_objects import holds_foreign_plugins
 from ..transport.surface_events import flux_context
 from .cells import (
     BLIND,
@@ -176,7 +176,7 @@ class Evaluator:
     n_evaluations : ndarray of int, shape (n_directions,)
         What was asked for so far.
     by_ray : bool
-        As of :class:`~gonio_mi.transport.plane.Plane`.
+        As of :class:`~gonio_mi.specimen.plane.Plane`.
     """
 
     def __init__(

@@ -166,7 +166,7 @@ class Provenance:
     variant : str
     versions : mapping of str to str
     processors : tuple of str
-        That sent the rays; see :func:`gonio_mi.transport.variants.processor`.
+        That sent the rays; see :func:`gonio_mi.variants.processor`.
     created : str
         Date and time.
     interrupted : bool

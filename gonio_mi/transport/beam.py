@@ -14,12 +14,12 @@ from ..array_types import Floats, Numbers
 from ..collector import Subdivision
 from ..collector.directions import angles
 from ..errors import SpecimenError
+from ..kernels import in_memory
+from ..specimen.specimen import Specimen
+from ..specimen.wavelengths import passes, wavelength_lanes
 from .collector_sphere import DRJIT
-from .kernels import in_memory
 from .polarisation import power_of
 from .sampling import is_joint
-from .specimen import Specimen
-from .wavelengths import passes, wavelength_lanes
 
 # Points, along each of two sides, from which the mean power of a beam is taken.
 N_GRID = 128

@@ -13,7 +13,7 @@ import numpy as np
 from ..array_types import Flags, Integers
 from ..results.tally import Fate
 from ..settings.values import ALL_ORDERS, UNLIMITED, Order
-from .rays import exit_distance
+from ..specimen.rays import exit_distance
 
 
 @dataclass

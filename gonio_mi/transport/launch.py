@@ -8,12 +8,12 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from ..kernels import check_variant_kept
 from ..results.provenance import FACETS
 from ..settings.values import UNLIMITED
 from ..threads import park_threads
 from .beam import Beam
 from .exits import Exits, of_order
-from .kernels import check_variant_kept
 from .media_loop import Geometry, trace_inside
 from .sampling import Relay, apart, continues, in_turns, rays_per_lane, seeded, turns_of
 from .setup import Setup

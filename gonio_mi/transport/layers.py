@@ -16,8 +16,8 @@ import mitsuba as mi
 import numpy as np
 
 from ..mitsuba_compat import SURFACE
-from .plane import Plane
-from .rays import Encounter
+from ..specimen.plane import Plane
+from ..specimen.rays import Encounter
 
 # How much of the cell a rectangle that covers it may seem to lack, by rounding.
 MAX_GAP = 2.0**-18

@@ -20,12 +20,19 @@ import mitsuba as mi
 
 from ..mitsuba_compat import PARTIALS
 from ..results.tally import Fate
+from ..specimen.media import differ_by_channel
+from ..specimen.rays import (
+    Encounter,
+    Flight,
+    encounter,
+    flight_from,
+    intersect,
+    proceed,
+)
+from ..specimen.specimen import Specimen
 from .beam import Beam
 from .exits import exits_of
 from .layers import Layers
-from .media import differ_by_channel
-from .rays import Encounter, Flight, encounter, flight_from, intersect, proceed
-from .specimen import Specimen
 from .surface_events import (
     after_event,
     scattered,

@@ -14,14 +14,14 @@ from ..array_types import Floats
 from ..results.tally import Fate
 from ..settings.measurement_settings import MeasurementSettings
 from ..settings.values import Order
+from ..specimen.digest import emitter_digest, plugins_digest
+from ..specimen.specimen import Specimen
+from ..specimen.wavelengths import passes
 from .beam import Beam
 from .collector_sphere import CollectorSphere
-from .digest import emitter_digest, plugins_digest
 from .exits import Exits, OrderClasses
 from .layers import layers_of
 from .method import Method
-from .specimen import Specimen
-from .wavelengths import passes
 
 # Bins of sums that have room for rare powers before any is met, at most.
 MAX_ROOMY_BINS = 2**16

@@ -10,12 +10,12 @@ import mitsuba as mi
 
 from ..mitsuba_compat import PARTIALS
 from ..results.tally import Fate
+from ..specimen.plane import Plane, repeated
+from ..specimen.rays import START, encounter, flight_from, intersect, proceed
+from ..specimen.specimen import Specimen
 from .beam import Beam
 from .exits import Exits, exits_of
-from .plane import Plane, repeated
 from .polarisation import in_instrument_frames, new_light
-from .rays import START, encounter, flight_from, intersect, proceed
-from .specimen import Specimen
 from .surface_events import (
     after_event,
     emitted,

@@ -15,7 +15,7 @@ import numpy as np
 from ..array_types import Flags, Floats
 from ..collector.directions import direction
 from ..single_precision import BSDF_ROUNDING
-from ..transport.bsdf_trial import PluginFault
+from ..specimen.bsdf_trial import PluginFault
 from .conditions import Condition
 from .evidence import BIAS, MODEL, Breach, Evidence
 from .mistakes import EVAL, Guess, Mistake

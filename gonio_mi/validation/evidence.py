@@ -14,7 +14,7 @@ import numpy as np
 
 from ..array_types import Flags, Floats
 from ..single_precision import BSDF_ROUNDING
-from ..transport.bsdf_trial import PluginFault
+from ..specimen.bsdf_trial import PluginFault
 from .conditions import Condition, Effort
 from .maps import FourMaps, four_maps
 from .mistakes import Function, Guess, Kind, MatrixKind, Mistake

@@ -13,13 +13,13 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import SettingError, SpecimenError, checked_count, checked_number, shown
-from ..instrument.loading import load_specimen, loaded
-from ..instrument.specimen_text import SpecimenLike, specimen_name
+from ..kernels import launches_kernels
 from ..progress import bar
+from ..specimen.bsdf_trial import PluginFault
+from ..specimen.loading import load_specimen, loaded
+from ..specimen.specimen_text import SpecimenLike, specimen_name
 from ..threads import thread_count
-from ..transport.bsdf_trial import PluginFault
-from ..transport.kernels import launches_kernels
-from ..transport.variants import is_parallel, is_polarised
+from ..variants import is_parallel, is_polarised
 from .checks import (
     adjoint,
     answers,

@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..array_types import Floats
-from ..transport.media import N_RINGED, ask_phase_function
+from ..specimen.media import N_RINGED, ask_phase_function
 from .checks import sampling
 from .checks.energy import ENERGY, Energy
 from .checks.reciprocity import RECIPROCITY, ratio_text

@@ -15,7 +15,7 @@ import numpy as np
 from ..array_types import Flags, Floats, Integers, Numbers
 from ..collector.directions import angles, direction
 from ..collector.stokes import UPRIGHT, plane_axis
-from ..instrument.loading import loaded
+from ..specimen.loading import loaded
 from .checks import energy, first_element, frames, matrices, realisable
 from .conditions import FIELDS, N_SPOTS, PLACES, sides_of, surroundings
 from .evidence import Evidence

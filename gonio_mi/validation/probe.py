@@ -16,7 +16,7 @@ import numpy as np
 from ..array_types import Floats, Numbers
 from ..errors import own_place
 from ..mitsuba_compat import floats
-from ..transport.bsdf_trial import (
+from ..specimen.bsdf_trial import (
     PluginFault,
     checked_answer,
     checked_parts,

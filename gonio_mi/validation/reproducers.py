@@ -20,9 +20,9 @@ import numpy as np
 
 from ..errors import SettingError
 from ..files import replacing
-from ..instrument.specimen_text import with_real_indices
 from ..single_precision import BSDF_ROUNDING
-from ..transport.variants import unpolarised
+from ..specimen.specimen_text import with_real_indices
+from ..variants import unpolarised
 from .conditions import POSITION, TURN, WAVELENGTHS_NM, Condition, Sweep
 from .maps import FourMaps
 from .mistakes import SCRIPTS, Kind, MatrixKind

@@ -6,8 +6,8 @@ from typing import Any, TypeAlias
 import mitsuba as mi
 from mitsuba import chi2
 
-from ..instrument.specimen_text import SpecimenLike
-from ..transport.variants import is_parallel
+from ..specimen.specimen_text import SpecimenLike
+from ..variants import is_parallel
 from .examination import validate
 from .verdict import Verdict
 

@@ -10,10 +10,10 @@ import numpy as np
 
 from gonio_mi.campaigns.measure import measure
 from gonio_mi.errors import SpecimenError
-from gonio_mi.instrument.specimen_text import parse_specimen
 from gonio_mi.results.planning import precision
 from gonio_mi.results.prediction_error import expected_noise
 from gonio_mi.results.record import Record
+from gonio_mi.specimen.specimen_text import parse_specimen
 
 from . import groove
 from .coverage import CASES, Coverage, truth_of

@@ -13,9 +13,9 @@ import numpy as np
 
 from gonio_mi.campaigns.measure import measure
 from gonio_mi.collector.directions import direction
+from gonio_mi.specimen.rays import SURFACE_OFFSET
+from gonio_mi.specimen.specimen import Specimen
 from gonio_mi.transport.beam import Beam
-from gonio_mi.transport.rays import SURFACE_OFFSET
-from gonio_mi.transport.specimen import Specimen
 
 from .table import print_table
 from .timing import in_turns, speeds

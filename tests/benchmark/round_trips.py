@@ -17,9 +17,9 @@ import numpy as np
 
 from gonio_mi.campaigns.measure import measure
 from gonio_mi.exchange.exports.exporting import export
-from gonio_mi.instrument.specimen_text import parse_specimen
 from gonio_mi.results.campaign_outcome import PredictionError
 from gonio_mi.results.prediction_error import prediction_error
+from gonio_mi.specimen.specimen_text import parse_specimen
 
 # Each with the basis of a Radiance file.
 FORMATS = {

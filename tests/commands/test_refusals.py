@@ -14,7 +14,7 @@ import sys
 from pathlib import Path
 import gonio_mi as gonio
 import mitsuba as mi
-from gonio_mi.instrument.loading import load_specimen
+from gonio_mi.specimen.loading import load_specimen
 
 mi.set_variant("llvm_ad_mono")
 names = sorted(p.stem for p in (Path(mi.__file__).parent / "plugins").glob("*.so"))

@@ -10,9 +10,9 @@ from gonio_mi.collector.directions import direction
 from gonio_mi.mitsuba_compat import mesh_of, triangles_of
 from gonio_mi.results.tally import Fate
 from gonio_mi.settings.values import checked_period
+from gonio_mi.specimen.rays import NEARBY
+from gonio_mi.specimen.specimen import Specimen
 from gonio_mi.transport.beam import Beam
-from gonio_mi.transport.rays import NEARBY
-from gonio_mi.transport.specimen import Specimen
 from gonio_mi.transport.surface_loop import PathSettings, trace
 
 

@@ -479,7 +479,7 @@ def _load(plugin, **settings):
     def load(path):
         import mitsuba as mi
 
-        from gonio_mi.instrument.loading import load_specimen
+        from gonio_mi.specimen.loading import load_specimen
 
         mi.set_variant("llvm_ad_rgb")
         mi.set_log_level(mi.LogLevel.Error)  # libpng warns of a damaged comment
@@ -506,7 +506,7 @@ def _evaluate(mi, bsdf):
 def _load_scene(path):
     import mitsuba as mi
 
-    from gonio_mi.instrument.loading import load_specimen
+    from gonio_mi.specimen.loading import load_specimen
 
     mi.set_variant("llvm_ad_mono")
     load_specimen(path)

@@ -13,7 +13,7 @@ import numpy as np
 
 import gonio_mi as gonio
 from gonio_mi.files.measured_table import MeasuredTable
-from gonio_mi.instrument.specimen_text import parse_specimen
+from gonio_mi.specimen.specimen_text import parse_specimen
 
 # isort: split
 import mitsuba as mi

@@ -11,7 +11,7 @@ import mitsuba as mi
 import pytest
 from plain_bsdf import changed
 
-from gonio_mi.transport.bsdf_trial import PluginFault
+from gonio_mi.specimen.bsdf_trial import PluginFault
 from gonio_mi.validation import reproducer, validate
 from gonio_mi.validation.checks import cost
 from gonio_mi.validation.conditions import PLACES, Condition

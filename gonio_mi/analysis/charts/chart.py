@@ -22,11 +22,11 @@ from ...errors import (
     shown,
     warn,
 )
-from ...instrument.loading import load_specimen
-from ...instrument.specimen_text import SpecimenLike, specimen_name
+from ...kernels import launches_kernels
 from ...results.planning import patch_values, rms_expectation
 from ...results.record import Record
-from ...transport.kernels import launches_kernels
+from ...specimen.loading import load_specimen
+from ...specimen.specimen_text import SpecimenLike, specimen_name
 from .curves import Chart, Curve, Point, Reference
 
 NEEDS_GEOMETRY = "the estimator next_event needs geometry, got a flat rectangle"

@@ -102,8 +102,8 @@ def add_options(parser: ArgumentParser) -> None:
 
 def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
-    from ...instrument.loading import load_plugin_file
     from ...plots.figure import FIGURE_ENDINGS, check_picture
+    from ...specimen.loading import load_plugin_file
     from ..fitting import fit
     from ..fitting.figure import fit_figure
 

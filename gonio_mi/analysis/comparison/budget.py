@@ -9,8 +9,8 @@ import numpy as np
 from ...array_types import Floats
 from ...files import check_output, replacing
 from ...files.measured_table import MeasuredTable
-from ...instrument.specimen_text import SpecimenLike
 from ...single_precision import FEW_ROUNDINGS
+from ...specimen.specimen_text import SpecimenLike
 from .compare import compare
 from .comparison import Comparison
 from .measure_like import measure_like, without_aperture

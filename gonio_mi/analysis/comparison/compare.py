@@ -19,7 +19,6 @@ from ...errors import (
     shown,
 )
 from ...files.measured_table import ANGLE_DIGITS, COLUMNS, NUMBERS, MeasuredTable
-from ...instrument.specimen_text import SpecimenLike
 from ...results.record import Record, checked_records
 from ...results.tally import (
     ELEMENT_NAMES,
@@ -27,6 +26,7 @@ from ...results.tally import (
     holds_integrals,
     without_chance,
 )
+from ...specimen.specimen_text import SpecimenLike
 from .agreement import MIN_STUDENT_HITS, PointSet, judge, mostly_few
 from .comparison import Comparison
 from .measure_like import is_specimen, measure_like

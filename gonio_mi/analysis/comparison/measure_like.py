@@ -15,11 +15,11 @@ from ...collector.directions import direction
 from ...collector.hemisphere import Subdivision
 from ...errors import SettingError, SettingTypeError, SpecimenError, VariantError, shown
 from ...files.measured_table import MeasuredTable
-from ...instrument.specimen_text import SpecimenLike
 from ...progress import counted
 from ...results.record import Record, wavelengths_nm
 from ...results.tally import holds_integrals, without_chance
 from ...settings.measurement_settings import ANY_SPECIMEN
+from ...specimen.specimen_text import SpecimenLike
 from .pairing import pole_angle
 
 # Distance in scene units that stands for a source far away.

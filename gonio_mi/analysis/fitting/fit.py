@@ -15,12 +15,12 @@ from ...array_types import Floats
 from ...errors import SettingError, shown
 from ...files.measured_table import MeasuredTable
 from ...instrument.measure import measure_each
-from ...instrument.specimen_text import SpecimenLike, parse_specimen, specimen_name
+from ...kernels import launches_kernels
 from ...progress import bar
 from ...reports.page import picture_and_text
 from ...results.azimuth_symmetry import without_copies
 from ...results.record import Record, wavelengths_nm
-from ...transport.kernels import launches_kernels
+from ...specimen.specimen_text import SpecimenLike, parse_specimen, specimen_name
 from ..comparison.comparison import known
 from ..comparison.measure_like import PRECISION_SETTINGS, first_that_can
 from .least_squares import FittedModel, Search

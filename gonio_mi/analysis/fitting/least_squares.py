@@ -12,8 +12,8 @@ import numpy as np
 
 from ...array_types import Flags, Floats
 from ...errors import SettingError, SpecimenError, did_you_mean, shown
-from ...instrument.loading import loaded
-from ...instrument.specimen_text import CALLED
+from ...specimen.loading import loaded
+from ...specimen.specimen_text import CALLED
 from .observations import Observations
 
 # Differences for derivatives, relative to a value or to a hundredth of its range: wide

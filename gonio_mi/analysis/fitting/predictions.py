@@ -19,8 +19,8 @@ from ...quadrature.cells import NODES_PER_CELL, Cells
 from ...quadrature.evaluator import IncidentLight, square
 from ...quadrature.integrate import Rule
 from ...results.record import wavelengths_nm
+from ...specimen.wavelengths import passes, wavelength_lanes
 from ...transport.surface_events import flux_context
-from ...transport.wavelengths import passes, wavelength_lanes
 
 # Relative error of each patch to which the nodes of the integrals are refined.
 INTEGRAL_ERR = 1e-4

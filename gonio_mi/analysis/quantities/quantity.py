@@ -15,11 +15,11 @@ from ...campaigns.measure import measure
 from ...collector import Borders, Receptors, Subdivision
 from ...collector.receptors import Window, holds
 from ...errors import SettingError, checked_choice, checked_number, warn
-from ...instrument.loading import load_specimen, loaded_once
-from ...instrument.specimen_text import SpecimenLike
 from ...progress import counted
 from ...results.record import Record
-from ...transport.specimen import Specimen
+from ...specimen.loading import load_specimen, loaded_once
+from ...specimen.specimen import Specimen
+from ...specimen.specimen_text import SpecimenLike
 from ..comparison.measure_like import far_source
 from .definitions import DEFINITIONS, GROUPS, Definition
 from .functionals import checked_weights, difference, jackknifed, ratio

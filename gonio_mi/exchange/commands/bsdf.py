@@ -52,13 +52,13 @@ from ...commands.measure import RARE as RARE
 from ...commands.surface import add_surface_options, prepared_surface, tell_mesh
 from ...errors import SettingError
 from ...files import check_output
-from ...instrument.loading import load_specimen
-from ...instrument.specimen_text import SpecimenLike, parse_specimen
 from ...results.summary_text import aligned
+from ...specimen.loading import load_specimen
+from ...specimen.shapes import bounds
+from ...specimen.specimen_text import SpecimenLike, parse_specimen
 from ...surfaces.height_maps import is_height_map
 from ...surfaces.meshes import is_mesh
 from ...surfaces.topography import metres
-from ...transport.shapes import bounds
 from ..exports.bsdf_file import RAYS, bsdf, properties
 from ..exports.daylight import VISIBLE_NM, luminous
 from ..exports.loss import in_words

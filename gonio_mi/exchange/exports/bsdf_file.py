@@ -16,10 +16,10 @@ from ...collector import EqualProjectedSolidAngle
 from ...collector.directions import direction
 from ...errors import SettingError, checked_choice, warn
 from ...files import check_output
-from ...instrument.specimen_text import SpecimenLike
 from ...results.prediction_error import prediction_error
 from ...results.record import Record
 from ...settings.values import checked_wavelengths
+from ...specimen.specimen_text import SpecimenLike
 from ..formats.radiance import BASES, Product
 from .daylight import SOLAR, VISIBLE, VISIBLE_NM, of_daylight
 from .exporting import export

@@ -15,13 +15,13 @@ from ...collector.directions import direction
 from ...collector.hemisphere import Subdivision
 from ...errors import VariantError, abridged
 from ...files import replacing, tensor_file
-from ...instrument.loading import loaded
 from ...instrument.measure import measure_each
 from ...materials.resampling import Material, half_vector_grids, vectors
 from ...progress import counted
 from ...results.record import Record, wavelengths_nm
+from ...specimen.loading import loaded
+from ...specimen.wavelengths import passes, wavelength_lanes
 from ...transport.surface_events import flux_context
-from ...transport.wavelengths import passes, wavelength_lanes
 from .loss import Loss, check_channels, losses
 
 # Vertices per side of the grid of half vectors.

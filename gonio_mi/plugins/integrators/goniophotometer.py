@@ -10,10 +10,10 @@ from gonio_mi.errors import SpecimenError
 from gonio_mi.instrument.measure import send_all
 from gonio_mi.instrument.recording import records_of
 from gonio_mi.instrument.setup import own_settings, set_up
+from gonio_mi.kernels import launches_kernels
 from gonio_mi.results.tally import Tally
 from gonio_mi.settings import INTEGRATOR, MeasurementSettings, plugin_table
-from gonio_mi.transport.kernels import launches_kernels
-from gonio_mi.transport.variants import check_variant, is_parallel
+from gonio_mi.variants import check_variant, is_parallel
 
 
 class Goniophotometer(mi.SamplingIntegrator):

@@ -15,7 +15,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ...transport.kernels import first_cause
+from ...kernels import first_cause
 from ..conditions import Condition
 from ..evidence import COST, INTERFACE, SAME, Evidence, Question
 from ..probe import Probe, uniform

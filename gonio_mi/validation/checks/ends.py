@@ -10,7 +10,7 @@ import numpy as np
 from ...array_types import Flags, Floats, Numbers
 from ...collector.directions import direction
 from ...single_precision import BSDF_ROUNDING
-from ...transport.bsdf_trial import PluginFault
+from ...specimen.bsdf_trial import PluginFault
 from ..conditions import Condition
 from ..evidence import BIAS, INTERFACE, SAME, Evidence, Question
 from ..mistakes import EVAL, PDF, SAMPLE, Function, Kind, Mistake

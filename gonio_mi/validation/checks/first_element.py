@@ -9,8 +9,8 @@ import numpy as np
 
 from ...array_types import Flags, Floats, Integers
 from ...errors import SettingError
-from ...transport.bsdf_trial import PluginFault
-from ...transport.variants import unpolarised
+from ...specimen.bsdf_trial import PluginFault
+from ...variants import unpolarised
 from ..evidence import BIAS, POLARISING, SAME, Evidence, Question
 from ..mistakes import Mistake
 from ..mueller import Lobes, Matrices, MuellerProbe

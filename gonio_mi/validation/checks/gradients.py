@@ -12,7 +12,7 @@ import numpy as np
 from ...array_types import Flags, Floats
 from ...mitsuba_compat import floats
 from ...single_precision import BSDF_ROUNDING
-from ...transport.bsdf_trial import PluginFault
+from ...specimen.bsdf_trial import PluginFault
 from ..conditions import Effort
 from ..evidence import INTERFACE, Evidence
 from ..mistakes import EVAL, PDF, Function, Kind

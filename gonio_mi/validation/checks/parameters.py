@@ -12,7 +12,7 @@ import numpy as np
 
 from ...array_types import Floats
 from ...mitsuba_compat import floats
-from ...transport.bsdf_trial import PluginFault
+from ...specimen.bsdf_trial import PluginFault
 from ..conditions import Condition, Effort, Sweep
 from ..evidence import BIAS, BREAKS, MAX_P, SAME, Breach, Evidence, Question
 from ..mistakes import EVAL, PDF, SAMPLE, Function, Guess, Kind, Mistake

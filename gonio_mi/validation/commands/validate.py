@@ -40,7 +40,7 @@ from ...commands.arguments import (
 )
 from ...commands.parser import Parser
 from ...errors import SettingError, SpecimenError
-from ...instrument.loading import load_plugin_file, load_specimen
+from ...specimen.loading import load_plugin_file, load_specimen
 from ..verdict import Verdict
 
 USAGE = "%(prog)s SPECIMEN [options]"
@@ -133,7 +133,7 @@ def _verdicts(options: argparse.Namespace) -> tuple[list[Verdict], dict[str, str
 
 
 def _verdict(options: argparse.Namespace, variant: str) -> Verdict:
-    from ...transport.variants import is_polarised, parallel_variants, unpolarised
+    from ...variants import is_polarised, parallel_variants, unpolarised
     from ..examination import validate
     from ..reproducers import source_of
 

@@ -14,8 +14,8 @@ import mitsuba as mi
 import numpy as np
 
 from ...errors import SettingError, SpecimenError, shown
-from ...instrument.specimen_text import SpecimenLike, specimen_name
-from ...transport.variants import check_variant
+from ...specimen.specimen_text import SpecimenLike, specimen_name
+from ...variants import check_variant
 from ..checks.answers import lattice
 from ..conditions import Condition
 from ..reproducers import source_of

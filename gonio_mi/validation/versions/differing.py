@@ -18,8 +18,8 @@ from scipy import special
 from ...array_types import Flags, Floats
 from ...errors import FileFormatError, SettingError, checked_count, checked_number
 from ...files.writing import replacing
-from ...instrument.specimen_text import SpecimenLike
 from ...single_precision import BSDF_ROUNDING
+from ...specimen.specimen_text import SpecimenLike
 from ..samples import SLACK, ULPS, beyond_rounding
 from .asking import FORMAT, answers_about, interpreter
 

@@ -23,7 +23,7 @@ from gonio_mi.collector.directions import direction
 from gonio_mi.commands.arguments import variant_of
 from gonio_mi.errors import SettingError, SpecimenError
 from gonio_mi.files.measured_table import MeasuredTable
-from gonio_mi.instrument.specimen_text import parse_specimen
+from gonio_mi.specimen.specimen_text import parse_specimen
 
 # isort: split
 import drjit as dr

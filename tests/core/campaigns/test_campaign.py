@@ -20,7 +20,7 @@ import pytest
 import gonio_mi as gonio
 from gonio_mi.campaigns import tasks
 from gonio_mi.cli import main
-from gonio_mi.instrument import loading
+from gonio_mi.specimen import loading
 
 SPECIMENS = {
     "matt": {"type": "diffuse"},

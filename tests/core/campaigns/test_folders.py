@@ -269,7 +269,7 @@ def test_records_of_an_edited_class_do_not_merge(plugin):
     """The class of a module, without any list of plugin files."""
     records = []
     for seed, value in enumerate((0.2, 0.2, 0.9)):
-        gonio.instrument.loading.load_plugin_file(plugin(value))
+        gonio.specimen.loading.load_plugin_file(plugin(value))
         records.append(gonio.measure({"type": "test_plain"}, 0, **SETTINGS, seed=seed))
     assert records[0].merge(records[1]).ledger.emitted == 400
     with pytest.raises(

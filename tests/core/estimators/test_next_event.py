@@ -36,12 +36,12 @@ import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
 from gonio_mi.errors import SpecimenError
 from gonio_mi.estimators import next_event
-from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.results.statistics import batch_std_err, student_score
 from gonio_mi.settings.measurement_settings import PILOT_RAYS
 from gonio_mi.single_precision import FEW_ROUNDINGS
-from gonio_mi.transport.rays import escapes
-from gonio_mi.transport.specimen import Specimen
+from gonio_mi.specimen.loading import load_specimen
+from gonio_mi.specimen.rays import escapes
+from gonio_mi.specimen.specimen import Specimen
 
 GRID = "projected:8x12"
 RAYS = 2**16
@@ -198,7 +198,7 @@ def test_light_that_starts_beside_the_cell(mended, monkeypatch):
     start = np.random.default_rng(0).uniform(low, high, (1000, 3)).T
     ray = mi.Ray3f(mi.Point3f(start), dr.normalize(mi.Vector3f(0.1, -1e-4, -1)))
     if not mended:
-        monkeypatch.setattr("gonio_mi.transport.rays.into_cell", as_it_is)
+        monkeypatch.setattr("gonio_mi.specimen.rays.into_cell", as_it_is)
     free = escapes(specimen, 1, ray, mi.Normal3f(0), mi.Float(0), mi.Bool(True))
     assert np.array(free).any() != mended
 

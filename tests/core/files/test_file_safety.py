@@ -27,10 +27,10 @@ from gonio_mi import cli, files
 from gonio_mi.collector import subdivision
 from gonio_mi.errors import FileFormatError, printable, shortened, shown
 from gonio_mi.files import checks, npz, tensor_file, writing
-from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.results.summary import summarize
 from gonio_mi.results.summary_text import summary_text
 from gonio_mi.results.tally import Fate, Integrals
+from gonio_mi.specimen.loading import load_specimen
 
 RECORD = synthetic.record(channels=("R", "G", "B"), both=True)
 POSIX = pytest.mark.skipif(os.name != "posix", reason="needs POSIX")

@@ -20,11 +20,11 @@ from gonio_mi.cli import main
 from gonio_mi.commands.arguments import INCOMPLETE
 from gonio_mi.errors import LostLightWarning, SpecimenError, VariantError, is_ctrl_c
 from gonio_mi.instrument import launcher
-from gonio_mi.instrument.loading import load_specimen
+from gonio_mi.kernels import check_all_counted, launches_kernels
 from gonio_mi.progress import WATCH
+from gonio_mi.specimen.loading import load_specimen
 from gonio_mi.threads import drjit_lock, thread_count, two_threads
 from gonio_mi.transport import launch, sampling
-from gonio_mi.transport.kernels import check_all_counted, launches_kernels
 from gonio_mi.transport.sampling import rays_per_lane
 
 PLATE = {"type": "diffuse", "reflectance": 0.7}

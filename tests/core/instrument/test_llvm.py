@@ -21,7 +21,7 @@ import pytest
 from gonio_mi import llvm
 from gonio_mi.commands import doctor
 from gonio_mi.errors import LLVMError
-from gonio_mi.transport.variants import parallel_variants
+from gonio_mi.variants import parallel_variants
 
 # isort: split
 import drjit as dr

@@ -9,10 +9,9 @@ import pytest
 import synthetic
 
 import gonio_mi as gonio
-from gonio_mi import llvm
+from gonio_mi import llvm, variants
 from gonio_mi.results.summary import summarize
 from gonio_mi.results.summary_text import summary_text
-from gonio_mi.transport import variants
 
 OTHER = ("a-processor", 4)
 

@@ -10,10 +10,10 @@ import pytest
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
 from gonio_mi.instrument import launcher, schedule
-from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.instrument.setup import set_up
 from gonio_mi.results.tally import batch_sizes
 from gonio_mi.settings import MeasurementSettings
+from gonio_mi.specimen.loading import load_specimen
 
 GLASS = {"type": "roughdielectric", "alpha": 0.3}
 MATT = {"type": "twosided", "bsdf": {"type": "diffuse"}}

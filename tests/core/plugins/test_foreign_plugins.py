@@ -12,11 +12,11 @@ import pytest
 
 import gonio_mi as gonio
 from gonio_mi import cli
-from gonio_mi.instrument.loading import load_plugin_file
 from gonio_mi.quadrature import evaluator
+from gonio_mi.specimen import specimen
+from gonio_mi.specimen.loading import load_plugin_file
+from gonio_mi.specimen.scene_objects import traversed
 from gonio_mi.threads import two_threads
-from gonio_mi.transport import specimen
-from gonio_mi.transport.scene_objects import traversed
 
 ALBEDO = 0.625  # exact in binary: so are its sums over rays of one weight
 

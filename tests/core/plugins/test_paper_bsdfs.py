@@ -19,9 +19,9 @@ from scipy import special, stats
 
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
-from gonio_mi.instrument.specimen_text import parse_specimen
 from gonio_mi.plugins.phong_facets import averted_area, averted_area_table, mean_cosine
 from gonio_mi.quadrature.evaluator import square
+from gonio_mi.specimen.specimen_text import parse_specimen
 
 EPS = 2.0**-24  # largest relative rounding error of a float32 operation
 RAYS = 2 * 10**6

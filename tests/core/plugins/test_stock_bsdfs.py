@@ -14,7 +14,7 @@ from closed_forms import eval_flux, fresnel, patch_fluxes, slab
 
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
-from gonio_mi.instrument.specimen_text import parse_specimen
+from gonio_mi.specimen.specimen_text import parse_specimen
 
 RAYS = 5 * 10**5
 ANGLES = (0, 60, 89.9)

@@ -17,10 +17,10 @@ from scipy import stats
 
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
-from gonio_mi.instrument.specimen_text import parse_specimen
 from gonio_mi.quadrature import integrate
 from gonio_mi.quadrature.cells import CONFIRMING
 from gonio_mi.quadrature.evaluator import Evaluator, channels_of
+from gonio_mi.specimen.specimen_text import parse_specimen
 
 WHITE = {"type": "diffuse", "reflectance": 1.0}
 SHARP = {"type": "roughconductor", "alpha": 0.005}

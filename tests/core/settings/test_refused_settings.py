@@ -13,8 +13,8 @@ from budget import agree, disagree, normal_scores, single
 from specimens import diffuse_groove_dhr
 
 from gonio_mi.cli import main
-from gonio_mi.instrument import specimen_text
 from gonio_mi.instrument.incidence import USUAL_ANGLES, incident_angles
+from gonio_mi.specimen import specimen_text
 
 PLATE = {"type": "diffuse", "reflectance": 0.5}
 

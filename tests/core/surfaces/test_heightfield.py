@@ -6,9 +6,9 @@ from budget import agree, disagree, normal_scores, single
 
 import gonio_mi as gonio
 from gonio_mi.errors import SpecimenError
-from gonio_mi.instrument.loading import load_specimen
+from gonio_mi.specimen.loading import load_specimen
+from gonio_mi.specimen.specimen import Specimen
 from gonio_mi.surfaces.heights import gaussian_heights, height_statistics
-from gonio_mi.transport.specimen import Specimen
 
 # isort: split
 import mitsuba as mi

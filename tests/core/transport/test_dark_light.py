@@ -16,8 +16,8 @@ from specimens import (
 
 import gonio_mi as gonio
 from gonio_mi.instrument.launcher import LaunchSize
-from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.results.tally import WEIGHT_SCALE
+from gonio_mi.specimen.loading import load_specimen
 from gonio_mi.transport.sums import LEVELS, ONE, Digits, Exact, unit_of
 from gonio_mi.transport.surface_events import RARE as RARE_CHANCE, whole_number
 

@@ -9,7 +9,7 @@ from specimens import heightfield
 
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
-from gonio_mi.transport.specimen import Specimen
+from gonio_mi.specimen.specimen import Specimen
 from gonio_mi.transport.surface_events import flux_context
 
 ETA = 1.5

@@ -38,7 +38,7 @@ import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
 from gonio_mi.results.summary import summarize
 from gonio_mi.results.tally import Fate
-from gonio_mi.transport.rays import RETREAT
+from gonio_mi.specimen.rays import RETREAT
 
 RAYS = 100_000
 
@@ -88,7 +88,7 @@ def test_no_light_leaks_at_an_edge(monkeypatch):
     n = 4 * 10**5
     beam = aimed_at_edges(field, direction(np.radians(85), 1.0), n)
     assert followed(field, beam, n).reflected.all()
-    monkeypatch.setattr("gonio_mi.transport.rays.resume", resumed_in_line)
+    monkeypatch.setattr("gonio_mi.specimen.rays.resume", resumed_in_line)
     assert followed(field, beam, n).transmitted.any()
 
 
@@ -103,8 +103,8 @@ def test_no_light_leaks_at_the_side_of_a_cell(monkeypatch):
     p[:, 0] = np.random.default_rng(0).uniform(0.4995, 0.5, n)
     beam = Aimed(p, direction(np.radians(89.9), 0.0))
     assert followed(groove, beam, n).reflected.all()
-    monkeypatch.setattr("gonio_mi.transport.rays.into_cell", as_it_is)
-    monkeypatch.setattr("gonio_mi.transport.rays.resume", resumed_in_line)
+    monkeypatch.setattr("gonio_mi.specimen.rays.into_cell", as_it_is)
+    monkeypatch.setattr("gonio_mi.specimen.rays.resume", resumed_in_line)
     assert followed(groove, beam, n).transmitted.any()
 
 

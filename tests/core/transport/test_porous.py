@@ -22,9 +22,9 @@ from budget import (
 )
 
 import gonio_mi as gonio
-from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.results.summary import summarize
 from gonio_mi.results.summary_text import summary_text
+from gonio_mi.specimen.loading import load_specimen
 
 SCENES = Path(__file__).parents[3] / "scenes"
 

@@ -7,9 +7,9 @@ import pytest
 from specimens import both_sided, lamp
 
 import gonio_mi as gonio
-from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.instrument.setup import set_up
 from gonio_mi.settings import MeasurementSettings
+from gonio_mi.specimen.loading import load_specimen
 
 pytestmark = pytest.mark.usefixtures("spectral")
 

@@ -14,7 +14,7 @@ from budget import (
 from specimens import lamp
 
 import gonio_mi as gonio
-from gonio_mi.transport.specimen import Specimen
+from gonio_mi.specimen.specimen import Specimen
 
 
 @functools.cache

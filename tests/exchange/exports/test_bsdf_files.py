@@ -22,8 +22,8 @@ from gonio_mi.exchange.exports.bsdf_file import properties
 from gonio_mi.exchange.exports.loss import Loss, in_words
 from gonio_mi.exchange.formats import radiance, tensor_tree
 from gonio_mi.exchange.formats.radiance import RadianceBSDF
-from gonio_mi.instrument.specimen_text import parse_specimen
 from gonio_mi.materials import resampling
+from gonio_mi.specimen.specimen_text import parse_specimen
 
 KLEMS = Klems()
 OMEGA = KLEMS.projected_solid_angles

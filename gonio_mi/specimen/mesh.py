@@ -22,9 +22,9 @@ from ..errors import (
     warn,
 )
 from ..surfaces.meshes import MESHES, is_mesh
-from ..transport.shapes import bounds
-from ..transport.variants import check_variant, is_parallel
+from ..variants import check_variant, is_parallel
 from .loading import loaded
+from .shapes import bounds
 
 # Rotations that turn an axis of the file to +z, and what is up, its z or else y, to +y.
 NORMALS = {

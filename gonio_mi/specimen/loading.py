@@ -31,12 +31,12 @@ from ..errors import (
     warn,
 )
 from ..files.tensor_file import check_measured
+from ..kernels import launches_kernels
 from ..surfaces.height_maps import is_height_map
 from ..surfaces.meshes import is_mesh
 from ..threads import two_threads
-from ..transport.kernels import launches_kernels
-from ..transport.shapes import WATERTIGHT, forget, remember, scene_of
-from ..transport.variants import check_variant, is_parallel
+from ..variants import check_variant, is_parallel
+from .shapes import WATERTIGHT, forget, remember, scene_of
 from .specimen_text import CALLED, SpecimenLike, parse_specimen, with_real_indices
 
 # Texts that may hold heights or measured values.

@@ -12,9 +12,9 @@ import plain_bsdf
 import pytest
 
 import gonio_mi as gonio
-from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.results.tally import Tally
-from gonio_mi.transport.digest import digest, file_digest
+from gonio_mi.specimen.digest import digest, file_digest
+from gonio_mi.specimen.loading import load_specimen
 
 SETTINGS = {"rays": 800, "batches": 4, "collector": "projected:3x3"}
 

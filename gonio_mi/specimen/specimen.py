@@ -13,10 +13,10 @@ import numpy as np
 
 from ..array_types import Integers
 from ..errors import SpecimenError, abridged, warn
+from ..kernels import in_memory
 from ..mitsuba_compat import MINIMAL, SURFACE
 from ..settings.values import Period
 from .digest import digest
-from .kernels import in_memory
 from .media import media_of
 from .plane import Plane
 from .rays import RETREAT, START, SURFACE_OFFSET, escapes, intersect
@@ -174,7 +174,7 @@ class Specimen:
 
     @cached_property
     def digest(self) -> str:
-        """:func:`~gonio_mi.transport.digest.digest` of its shapes, taken once."""
+        """:func:`~gonio_mi.specimen.digest.digest` of its shapes, taken once."""
         repeated = [*self.groups, *self.surfaces] if self.groups else []
         return digest([*self.scene.shapes(), *repeated])
 

@@ -5,7 +5,7 @@ In the loop that follows rays through geometry, Dr.Jit would hide the error.
 
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import drjit as dr
@@ -13,9 +13,8 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import SpecimenError, abridged, own_frame, warn
-from .method import Method
+from ..variants import unpolarised_variants
 from .scene_objects import class_of, traversed
-from .variants import unpolarised_variants
 
 # Parameters of Mitsuba's BSDFs that say how rough a surface is, and the largest value
 # that each may have; and what `roughplastic` puts in place of smaller ones.
@@ -112,8 +111,10 @@ def missing_method(error: BaseException) -> str | None:
     return found[1] if found else None
 
 
-def check_works(bsdfs: Iterable[Any], wavelengths: Any, method: Method) -> None:
-    """Raise what a BSDF raises in the functions that an estimator needs.
+def check_works(
+    bsdfs: Iterable[Any], wavelengths: Any, functions: Callable[[Any], set[str]]
+) -> None:
+    """Raise what a BSDF raises in the `functions` that an estimator needs of it.
 
     One BSDF of each class is tried, with the `wavelengths` of a ray; of what it answers
     only the form is looked at.
@@ -127,7 +128,7 @@ def check_works(bsdfs: Iterable[Any], wavelengths: Any, method: Method) -> None:
     """
     for bsdf in {class_of(bsdf): bsdf for bsdf in bsdfs}.values():
         try:
-            _try(bsdf, wavelengths, method.functions(bsdf))
+            _try(bsdf, wavelengths, functions(bsdf))
         except PluginFault as fault:
             raise _refused(bsdf, str(fault), _is_of_colours(str(fault))) from fault
         except Exception as error:

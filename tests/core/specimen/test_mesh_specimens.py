@@ -99,7 +99,7 @@ def test_vertices_without_triangles_are_no_part(tmp_path, reference, name):
     path.write_bytes(more_vertices(name))
     assert mi.load_dict({"type": name[-3:], "filename": str(path)}).bbox().max[0] == 900
     assert measured(path).tallies == reference.tallies
-    low, high = gonio.transport.shapes.bounds(
+    low, high = gonio.specimen.shapes.bounds(
         mi.load_dict(gonio.mesh(path, MATT)).shapes()
     )
     assert np.array_equal((high - low)[:2], np.ptp(CORNERS.astype("f4"), axis=0)[:2])
@@ -116,7 +116,7 @@ def test_the_axis_that_is_said_becomes_the_normal(tmp_path, reference, normal):
     axis = "xyz".index(normal[-1])
     sign = -1 if normal[0] == "-" else 1
     path = tmp_path / "turned.obj"
-    matrix = np.array(gonio.instrument.mesh.NORMALS[normal], dtype=float)
+    matrix = np.array(gonio.specimen.mesh.NORMALS[normal], dtype=float)
     assert np.linalg.det(matrix) == 1
     assert (matrix[2] == sign * np.eye(3)[axis]).all()
     path.write_bytes(obj(CORNERS @ matrix + [5, -3, 2]))
@@ -127,7 +127,7 @@ def test_the_axis_that_is_said_becomes_the_normal(tmp_path, reference, normal):
     plane = gonio.mesh(path, MATT, normal=normal, mean_plane=1.0)
     # up is the file's z, or its y where z is the normal
     assert matrix[1].tolist() == np.eye(3)[1 if axis == 2 else 2].tolist()
-    low, high = gonio.transport.shapes.bounds(mi.load_dict(plane).shapes())
+    low, high = gonio.specimen.shapes.bounds(mi.load_dict(plane).shapes())
     middle = sign * [5, -3, 2][axis]
     assert np.isclose((low + high)[2] / 2, middle - 1, atol=1e-5)
 
@@ -145,7 +145,7 @@ def test_what_stands_upright_is_warned_of(tmp_path, capsys):
         (gonio.mesh(path, MATT, normal="z"), 9),
         (gonio.mesh(path, MATT, normal="-y"), 2),
     ):
-        low, high = gonio.transport.shapes.bounds(mi.load_dict(specimen).shapes())
+        low, high = gonio.specimen.shapes.bounds(mi.load_dict(specimen).shapes())
         assert (high - low)[2] == thick
     words = ["measure", str(path), "--bsdf", "diffuse", "--theta-i", "0", "--rays"]
     words += ["64", "--period", "18,16", "-q"]

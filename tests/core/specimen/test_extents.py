@@ -8,8 +8,8 @@ from scipy.interpolate import BSpline
 from specimens import GREY
 
 import gonio_mi as gonio
-from gonio_mi.transport import shapes
-from gonio_mi.transport.shapes import bounds
+from gonio_mi.specimen import shapes
+from gonio_mi.specimen.shapes import bounds
 
 SINGLE = 2.0**-22
 

@@ -7,8 +7,8 @@ from budget import agree, disagree, of_total
 from specimens import OnGPU, diffuse_groove_dhr
 
 import gonio_mi as gonio
-from gonio_mi.instrument import loading
-from gonio_mi.transport.specimen import Specimen
+from gonio_mi.specimen import loading
+from gonio_mi.specimen.specimen import Specimen
 
 HALF_ANGLE = 30.0
 

@@ -11,8 +11,8 @@ from contextlib import ContextDecorator
 import drjit as dr
 import mitsuba as mi
 
-from ..errors import LostRaysError, VariantError
-from ..threads import drjit_lock
+from .errors import LostRaysError, VariantError
+from .threads import drjit_lock
 from .variants import check_variant, is_parallel_unpolarised
 
 # Variants at the entrances of the contexts that are open, and the last that each thread

@@ -10,8 +10,8 @@ from pathlib import Path
 import drjit as dr
 import mitsuba as mi
 
-from .. import llvm
-from ..errors import VariantError
+from . import llvm
+from .errors import VariantError
 
 
 def is_polarised(variant: str) -> bool:

@@ -16,8 +16,8 @@ import numpy as np
 from ..array_types import Floats, Integers
 from ..errors import SpecimenError, abridged, is_ctrl_c
 from ..single_precision import FEW_ROUNDINGS
+from ..variants import check_unpolarised
 from .scene_objects import class_of
-from .variants import check_unpolarised
 
 # Points inside of a medium at which its coefficients are looked at.
 N_POINTS = 2**12

@@ -17,9 +17,9 @@ from slabs import medium, stack
 import gonio_mi as gonio
 from gonio_mi import cli
 from gonio_mi.instrument import setup
-from gonio_mi.transport import media
-from gonio_mi.transport.media import ask_phase_function, phase_defect
-from gonio_mi.transport.wavelengths import wavelength_lanes
+from gonio_mi.specimen import media
+from gonio_mi.specimen.media import ask_phase_function, phase_defect
+from gonio_mi.specimen.wavelengths import wavelength_lanes
 
 TABLE = Path(__file__).parents[3] / "notebooks" / "reliability.md"
 COSINES = np.linspace(-1, 1, 101)

@@ -1,0 +1,1 @@
+"""The specimen: loaded from a word, file, dict or object, described, tried, hashed."""
