@@ -1,9 +1,11 @@
 """Exit profile: flux per area over the distance from the point of entry."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 
 from ..array_types import Floats
@@ -135,8 +137,10 @@ def exit_profile(
     chosen = MeasurementSettings().changed(**found | given | fixed)
     checked_choice("the estimator of exit_profile", chosen.estimator, ESTIMATORS)
     name = specimen_name(specimen, parameters)
-    setups = set_up(scene, chosen, incidents, name=name)
-    setups[0].collect_by_distance(edges)
+    (setup,) = set_up(scene, chosen, incidents, name=name)
+    radii = mi.Float(edges.tolist())
+    dr.make_opaque(radii)
+    setups = [replace(setup, radii=radii)]
     finished: list[list[Tally]] = [[]]
     if not send_all(setups, finished):
         raise KeyboardInterrupt

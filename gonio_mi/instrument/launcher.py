@@ -102,6 +102,8 @@ class Launcher:
             sums = setup.n_bins * (1 if self.curved else len(setup.classes))
             fitting = FUSED_SUMS // (sums * n_numbers())
             self.capacity = max(1, min(fitting, settings.batches, FUSED_BATCHES))
+        # of rare powers that sums have room for: what was met so far
+        self.levels = setup.levels
         self.known: tuple[Setup, list[Any]] | None = None
         self.together = 1
         # all that a direction sends
@@ -136,7 +138,8 @@ class Launcher:
             for one, nm in zip(planned, passes):
                 total: Any = None
                 for piece in self.pieces(one):
-                    totals = launch(piece)
+                    totals = launch(replace(piece, levels=self.levels))
+                    self.levels = totals.sums.levels
                     self.size.learn(piece.rays, totals.started)
                     total = totals if total is None else total + totals
                     if report is not None:

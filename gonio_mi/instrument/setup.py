@@ -22,6 +22,7 @@ from ..settings import (
     Order,
 )
 from ..specimen.bsdf_trial import check_works, warn_of_roughness
+from ..specimen.digest import emitter_digest
 from ..specimen.loading import loaded
 from ..specimen.media import check_media, phase_defect
 from ..specimen.scene_objects import foreign_plugins
@@ -29,6 +30,7 @@ from ..specimen.specimen import Specimen
 from ..specimen.wavelengths import check_covered, passes, wavelength_lanes
 from ..transport.beam import Beam
 from ..transport.collector_sphere import CollectorSphere
+from ..transport.layers import layers_of
 from ..transport.sampling import check_sampler
 from ..transport.setup import Setup
 from .incidence import collimated, described_digest, emitter_scene, towards
@@ -123,12 +125,23 @@ def set_up(
         method = METHODS[settings.estimator]
         # integrals have an error of their own
         goal = replace(settings, noise=None) if method.integrates else settings
-        told = incident, described
-        setup = Setup(goal, method, specimen, beam, collector, sampler, *told)
-        setup.source = source  # with it its emitters would go
-        setup.collect_orders(orders)
-        setup.choice = choice
-        return setup
+        of_emitter = None
+        if not beam.collimated:
+            of_emitter = described or emitter_digest([beam.emitter])
+        return Setup(
+            goal,
+            method,
+            specimen,
+            beam,
+            collector,
+            sampler,
+            incident,
+            emitter_digest=of_emitter,
+            source=source,
+            orders=tuple(orders),
+            choice=choice,
+            layers=layers_of(specimen, beam.side),
+        )
 
     def tried(settings: MeasurementSettings) -> Setup:
         setup = lit(settings, PILOT_INCIDENT if incidents[0] else None)

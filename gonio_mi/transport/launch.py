@@ -51,6 +51,8 @@ class Launch:
         there.
     control : object, optional
         Light that is known without rays, of the setup's method.
+    levels : range
+        Of rare powers that there is room for: what was met so far.
     """
 
     setup: Setup
@@ -62,6 +64,7 @@ class Launch:
     begin: int = 0
     stretch: tuple[int, int] | None = None
     control: Any = None
+    levels: range = range(0)
 
     @property
     def rays(self) -> int:
@@ -88,9 +91,10 @@ def launch(one: Launch) -> Totals:
     lanes = -(-sizes[0] // turns)
     if traced and len(sizes) * lanes == 1:
         lanes = 2  # in a single one Dr.Jit 1.5 takes a loop's variables for constants
+    levels = one.levels
     while True:
         known = None if one.control is None else one.control.flux
-        sums = Sums(setup, one.capacity, known)
+        sums = Sums(setup, levels, one.capacity, known)
         sampler = seeded(setup.sampler, one.keys, one.begin, lanes)
         if one.stretch is not None:
             batch, ray = sampler.follow_curve(*one.stretch, one.n_directions)
@@ -114,7 +118,7 @@ def launch(one: Launch) -> Totals:
         if not sums.lacking:
             break
         # fainter or brighter light than there was room for: once more, with room for it
-        setup.levels = sums.lacking
+        levels = sums.lacking
     # a GPU's kernels leave them asleep
     if mi.variant().startswith("llvm") and dr.thread_count() <= MAX_PARKED:
         park_threads()

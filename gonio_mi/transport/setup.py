@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from copy import copy
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..array_types import Floats
 from ..results.tally import Fate
 from ..settings.measurement_settings import MeasurementSettings
 from ..settings.values import Order
-from ..specimen.digest import emitter_digest, plugins_digest
+from ..specimen.digest import plugins_digest
 from ..specimen.specimen import Specimen
 from ..specimen.wavelengths import passes
 from .beam import Beam
 from .collector_sphere import CollectorSphere
 from .exits import Exits, OrderClasses
-from .layers import layers_of
+from .layers import Layers
 from .method import Method
 
 # Bins of sums that have room for rare powers before any is met, at most.
@@ -38,10 +37,11 @@ def incident_key(incident: tuple[float, float] | None) -> tuple[int, ...]:
     return tuple((np.array(incident, dtype=float) + 0.0).view(np.uint64).tolist())
 
 
+@dataclass(frozen=True, eq=False)
 class Setup:
     """One specimen, one beam and one collector, ready to be launched at.
 
-    Parameters
+    Attributes
     ----------
     settings : MeasurementSettings
     method : Method
@@ -52,63 +52,87 @@ class Setup:
     sampler : mi.Sampler
     incident : (float, float), optional
         Angles in degrees that the beam was made for.
-    described : str, optional
-        Digest of the beam's emitter before it was turned, if it was; None remains for a
-        collimated beam, whose direction is all there is.
+    emitter_digest : str, optional
+        None for a collimated beam, whose direction is all there is.
+    source : object, optional
+        What has to live as long as the beam's emitter.
+    orders : tuple of Order
+        To be collected apart: each has patches and fates of its own.
+    choice : str, optional
+        Why this estimator, if it was left to `auto`.
+    layers : Layers, optional
+        Where all that rays meet are infinite layers.
+    radii : mi.Float, optional
+        Ring `i` collects what leaves between ``radii[i - 1]`` and ``radii[i]`` from the
+        middle of the footprint, whatever the direction; the first ring what is nearer
+        than the first of them, the last one what is beyond the last.
     """
 
-    def __init__(
-        self,
-        settings: MeasurementSettings,
-        method: Method,
-        specimen: Specimen,
-        beam: Beam,
-        collector: CollectorSphere,
-        sampler: mi.Sampler,
-        incident: tuple[float, float] | None = None,
-        described: str | None = None,
-    ) -> None:
-        self.settings = settings
-        self.method = method
-        self.specimen = specimen
-        self._aim(beam, incident)
-        # set if all that rays meet are infinite layers
-        self.layers = layers_of(specimen, beam.side)
-        if beam.collimated:
-            self.emitter_digest = None
-        else:
-            self.emitter_digest = described or emitter_digest([beam.emitter])
-        self.collector = collector
-        self.sampler = sampler
-        self.choice: str | None = None  # why this estimator, if it was left to `auto`
-        self.source: Any = None  # what has to live as long as the beam's emitter
-        subdivision = collector.subdivision
-        both = collector.hemispheres == "both" or (
-            collector.hemispheres == "auto" and specimen.transmits
-        )
-        self.shape = (1 + both, *subdivision.shape)
-        self.n_patches = subdivision.n_patches
-        self.n_collected = self.shape[0] * self.n_patches
-        self.n_bins = self.n_collected + len(Fate)
-        self._radii: Any = None
-        self.orders: tuple[Order, ...] = ()
-        self.classes = OrderClasses()
-        # of powers beyond the ordinary that sums have room for: what was met so far
-        self.levels = method.levels if self.n_bins <= MAX_ROOMY_BINS else range(0)
+    settings: MeasurementSettings
+    method: Method
+    specimen: Specimen
+    beam: Beam
+    collector: CollectorSphere
+    sampler: mi.Sampler
+    incident: tuple[float, float] | None = None
+    emitter_digest: str | None = None
+    source: Any = None
+    orders: tuple[Order, ...] = ()
+    choice: str | None = None
+    layers: Layers | None = None
+    radii: Any = None
 
     def turned(self, beam: Beam, incident: tuple[float, float]) -> Setup:
         """The same setup for another direction of its collimated beam."""
-        other = copy(self)
-        other._aim(beam, incident)
-        return other
+        return replace(self, beam=beam, incident=incident)
 
-    def _aim(self, beam: Beam, incident: tuple[float, float] | None) -> None:
-        """Set the beam and what follows from its direction."""
-        self.beam = beam
-        # tells its rays from others of the same seed
-        self.key = (self.settings.seed, *incident_key(incident))
-        # as asked for, or what single precision leaves of the emitter's direction
-        self.theta_i, self.phi_i = incident or (beam.theta_i, beam.phi_i)
+    @property
+    def theta_i(self) -> float:
+        """Polar angle as asked for, or that of the emitter in single precision."""
+        return self.incident[0] if self.incident else self.beam.theta_i
+
+    @property
+    def phi_i(self) -> float:
+        """Azimuth, likewise."""
+        return self.incident[1] if self.incident else self.beam.phi_i
+
+    @property
+    def key(self) -> tuple[int, ...]:
+        """What tells its rays from others of the same seed."""
+        return (self.settings.seed, *incident_key(self.incident))
+
+    @cached_property
+    def shape(self) -> tuple[int, int, int]:
+        """Hemispheres, rings and sectors of the patches."""
+        both = self.collector.hemispheres == "both" or (
+            self.collector.hemispheres == "auto" and self.specimen.transmits
+        )
+        return (1 + both, *self.collector.subdivision.shape)
+
+    @property
+    def n_patches(self) -> int:
+        """Patches of a hemisphere."""
+        return self.collector.subdivision.n_patches
+
+    @property
+    def n_collected(self) -> int:
+        """Patches of all hemispheres."""
+        return self.shape[0] * self.n_patches
+
+    @property
+    def n_bins(self) -> int:
+        """Patches and fates."""
+        return self.n_collected + len(Fate)
+
+    @property
+    def levels(self) -> range:
+        """Levels of rare powers that sums have room for before any is met."""
+        return self.method.levels if self.n_bins <= MAX_ROOMY_BINS else range(0)
+
+    @cached_property
+    def classes(self) -> OrderClasses:
+        """Classes of rays that have sums of their own."""
+        return OrderClasses(self.method.kept_apart(self.orders))
 
     @property
     def passes(self) -> list[Any]:
@@ -125,30 +149,15 @@ class Setup:
         """Which rays are collected."""
         return self.method.order(self.settings)
 
-    def collect_by_distance(self, radii: Floats) -> None:
-        """Let ring `i` collect what leaves between ``radii[i - 1]`` and ``radii[i]``.
-
-        From the middle of the footprint, whatever the direction; the first ring what is
-        nearer than the first of `radii`, the last one what is beyond the last.
-        """
-        self._radii = mi.Float(radii.tolist())
-        dr.make_opaque(self._radii)
-
-    def collect_orders(self, orders: Sequence[Order]) -> None:
-        """Let each of the scattering orders have patches and fates of its own."""
-        self.orders = tuple(orders)
-        self.classes = OrderClasses(self.method.kept_apart(orders))
-
     def _patch(self, exits: Exits, d: mi.Vector3f) -> mi.UInt32:
         """Number of the patch of light that arrives in the direction `d`."""
-        if self._radii is None:
+        radii = self.radii
+        if radii is None:
             return self.collector.patch_index(d)
         x, y, _ = self.beam.middle.tolist()
         distance = dr.norm(mi.Vector2f(exits.p.x - x, exits.p.y - y))
         return dr.binary_search(
-            0,
-            self.n_patches - 1,
-            lambda i: dr.gather(mi.Float, self._radii, i) <= distance,
+            0, self.n_patches - 1, lambda i: dr.gather(mi.Float, radii, i) <= distance
         )
 
     @property

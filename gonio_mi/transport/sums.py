@@ -169,8 +169,8 @@ class Sums:
     In polarised variants the other elements of Mueller matrices are added up in bins
     of their own.
 
-    Powers beyond the ordinary are added up by themselves, in the levels that the setup
-    has room for. What other levels there were is known once the kernel has run.
+    Powers beyond the ordinary are added up by themselves, in the levels that there is
+    room for. What other levels there were is known once the kernel has run.
 
     Each of the setup's classes of orders has such sums of its own, as if its rays were
     further batches.
@@ -178,13 +178,19 @@ class Sums:
     Parameters
     ----------
     setup : Setup
+    levels : range
+        Of rare powers that there is room for.
     n_batches : int
     known : ndarray of float64, shape (n_collected, channels), optional
         Flux fractions of light that is known without rays, which take it off.
     """
 
     def __init__(
-        self, setup: Setup, n_batches: int = 1, known: Floats | None = None
+        self,
+        setup: Setup,
+        levels: range,
+        n_batches: int = 1,
+        known: Floats | None = None,
     ) -> None:
         self.setup = setup
         self.known = known
@@ -195,7 +201,7 @@ class Sums:
         self.deposits = setup.method.deposits
         self.channels = n_channels()
         self.width = packet_width()
-        self.levels = setup.levels
+        self.levels = levels
         self.bins = dr.zeros(mi.Int64, n_batches * setup.n_bins * self.width)
         plain = dr.width(self.bins) <= dr.expand_threshold()
         plain &= mi.variant().startswith("llvm")
