@@ -215,7 +215,7 @@ def settings_and_provenance(setup: Setup) -> tuple[MeasurementSettings, Provenan
         specimen=specimen.name,
         surface=specimen.description,
         media=tuple(map(_medium_text, specimen.media)),
-        defects=tuple(specimen.defects),
+        defects=setup.defects,
         **digests,
         transmission=specimen.transmission,
         edges=specimen.edges,

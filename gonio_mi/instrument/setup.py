@@ -37,8 +37,8 @@ from .incidence import collimated, described_digest, emitter_scene, towards
 from .launcher import Launcher
 from .schedule import Round
 
-# Of specimens with media: by variant, wavelengths, digest and classes in Python.
-_defects: dict[tuple[Any, ...], list[str]] = {}
+# Defects by variant, wavelengths, digest, extent and classes in Python.
+_known_defects: dict[tuple[Any, ...], tuple[str, ...]] = {}
 
 
 def own_settings(scene: mi.Scene, sensor: mi.Sensor | None = None) -> dict[str, Any]:
@@ -99,9 +99,9 @@ def set_up(
     sampler = _loaded_sampler(settings)
     radius = settings.collector_radius
     collector = CollectorSphere(settings.collector, settings.hemispheres, radius)
-    specimen = Specimen(scene, settings.period)
-    specimen.name = name
+    specimen = Specimen(scene, settings.period, name)
     _check_specimen(specimen, settings)
+    defects = _defects(specimen, settings)
     corner = np.abs([specimen.low, specimen.high]).max(axis=0)
     if 0 < radius <= np.linalg.norm(corner):
         raise SpecimenError(
@@ -139,6 +139,7 @@ def set_up(
             emitter_digest=of_emitter,
             source=source,
             orders=tuple(orders),
+            defects=defects,
             choice=choice,
             layers=layers_of(specimen, beam.side),
         )
@@ -167,10 +168,7 @@ def _short_run(setup: Setup, each: int) -> Tally:
 
 
 def _check_specimen(specimen: Specimen, settings: MeasurementSettings) -> None:
-    """Raise what a BSDF of the specimen raises, or SpecimenError beyond its data.
-
-    And set its defects.
-    """
+    """Raise what a BSDF of the specimen raises, or SpecimenError beyond its data."""
     lanes = [wavelength_lanes(nm) for nm in passes(settings.wavelengths)]
     bsdfs = [surface.bsdf() for surface in specimen.surfaces]
     method = METHODS[settings.estimator]
@@ -185,21 +183,28 @@ def _check_specimen(specimen: Specimen, settings: MeasurementSettings) -> None:
                 "a specimen with a medium must be measured by the estimator weighted "
                 f"or analog, got {settings.estimator}"
             )
-    # with a warning when this specimen is asked for the first time: a campaign sets it
-    # up again for each direction
+
+
+def _defects(specimen: Specimen, settings: MeasurementSettings) -> tuple[str, ...]:
+    """Sentences on what is not right of a specimen, but is measured.
+
+    With a warning when this specimen is asked for the first time: a campaign sets it up
+    again for each direction.
+    """
     phases = [medium.phase_function() for medium in specimen.media]
     written = (type(one) for phase in phases for one in foreign_plugins(phase))
     nm = settings.wavelengths[:4]
     box = specimen.low, specimen.high
     corners = *specimen.low, *specimen.high  # of the cell, or what gaps are thin by
     key = mi.variant(), nm, specimen.digest, corners, frozenset(written)
-    if key not in _defects:
-        found = filter(None, (phase_defect(phase, lanes[0], *box) for phase in phases))
-        sentences = list(dict.fromkeys([*specimen.thin_gaps(), *found]))
+    if key not in _known_defects:
+        lanes = wavelength_lanes(passes(settings.wavelengths)[0])
+        found = filter(None, (phase_defect(phase, lanes, *box) for phase in phases))
+        sentences = tuple(dict.fromkeys([*specimen.thin_gaps(), *found]))
         for sentence in sentences:
             warn(sentence)
-        _defects[key] = sentences
-    specimen.defects = _defects[key]
+        _known_defects[key] = sentences
+    return _known_defects[key]
 
 
 def _beam(

@@ -92,6 +92,8 @@ class Specimen:
         of an infinite surface, and what leaves through a side of it enters again
         through the opposite one. Extents in x and y: the same with a cell of that size
         about the middle of the box.
+    name : str
+        What its user calls it.
 
     Attributes
     ----------
@@ -112,8 +114,6 @@ class Specimen:
         Whether there is one.
     plane : Plane or None
         Set if the specimen is one flat rectangle, not periodic and without a medium.
-    name : str
-        What its user calls it.
     description : str
         Shapes and BSDFs in Mitsuba's words.
     transmits : bool
@@ -121,8 +121,6 @@ class Specimen:
         the specimen is a flat rectangle whose BSDF has no transmitting component.
     closed_to_light : bool
         Whether no shape's BSDF has one.
-    defects : list of str
-        Sentences on what is measured, but is not right: none before it is asked.
 
     Raises
     ------
@@ -131,7 +129,10 @@ class Specimen:
         that is smaller than the geometry.
     """
 
-    def __init__(self, scene: mi.Scene, period: Period = "none") -> None:
+    def __init__(
+        self, scene: mi.Scene, period: Period = "none", name: str = "a scene"
+    ) -> None:
+        self.name = name
         everything = scene.shapes()
         shapes = [shape for shape in everything if not shape.is_emitter()]
         if not shapes:
@@ -165,8 +166,6 @@ class Specimen:
         )
         if any(map(holds_foreign_plugins, shapes)):
             self.digest  # noqa: B018, before plugins are called, which may count that
-        self.name = "a scene"
-        self.defects: list[str] = []
         parts = list(map(_describe, self.surfaces[:4]))
         if len(self.surfaces) > 4:
             parts.append(f"and {len(self.surfaces) - 4} more shapes")

@@ -58,6 +58,8 @@ class Setup:
         What has to live as long as the beam's emitter.
     orders : tuple of Order
         To be collected apart: each has patches and fates of its own.
+    defects : tuple of str
+        Sentences on what is measured of the specimen, but is not right.
     choice : str, optional
         Why this estimator, if it was left to `auto`.
     layers : Layers, optional
@@ -78,6 +80,7 @@ class Setup:
     emitter_digest: str | None = None
     source: Any = None
     orders: tuple[Order, ...] = ()
+    defects: tuple[str, ...] = ()
     choice: str | None = None
     layers: Layers | None = None
     radii: Any = None

@@ -203,7 +203,7 @@ def test_a_specimen_is_asked_once(monkeypatch):
         return phase_defect(*args)
 
     monkeypatch.setattr(setup, "phase_defect", counted)
-    monkeypatch.setattr(setup, "_defects", {})
+    monkeypatch.setattr(setup, "_known_defects", {})
     told = []
     for share in (0.02, 1.0, 0.02):
         for theta_i in (0, 40):
