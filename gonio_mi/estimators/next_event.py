@@ -79,7 +79,7 @@ class NextEvent(Method):
     def add(self, rays: LaunchedRays, sampler: mi.Sampler, ray: mi.UInt32) -> None:
         """Add what the events of one ray per lane deposit, and the rays themselves."""
         deposits = Deposits(rays, ray < rays.size)
-        exits = rays.follow(sampler, deposits=deposits)
+        exits = rays.path(deposits=deposits)(sampler)
         bins, exits = rays.collect(exits, deposits.lanes)
         deposits.add_exits(bins, exits)
 

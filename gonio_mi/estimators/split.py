@@ -111,7 +111,7 @@ class Split(Method):
         """
         setup, sums = rays.setup, rays.sums
         active = ray < rays.size
-        exits = rays.follow(sampler, max_depth=1)
+        exits = rays.path(max_depth=1)(sampler)
         flight = exits.flight
         again = active & (exits.fate == mi.UInt32(Fate.TRUNCATED))
         ended = of_order(exits, setup.order)
@@ -143,7 +143,7 @@ class Split(Method):
         sampler.key = (key ^ BRANCHED) + index // (2**32 // BRANCHES)
         sampler.index = index * BRANCHES + branch
         sampler.draw = mi.UInt32(0)
-        exits = rays.follow(sampler, begun=(flight, power))
+        exits = rays.path(begun=(flight, power))(sampler)
         exits = of_order(exits, setup.order)  # by rounding some meet nothing again
         bins = setup.bins(exits)
         sums.add(bins, exits, branch == 0, batch)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import drjit as dr
@@ -110,9 +112,9 @@ def launch(one: Launch) -> Totals:
         if inside:
             rays.relay(sampler, ray, sizes[0])
         elif turns > 1:
-            in_turns(rays.add, sampler, ray, lanes, turns)
+            in_turns(partial(setup.method.add, rays), sampler, ray, lanes, turns)
         else:
-            rays.add(sampler, ray)
+            setup.method.add(rays, sampler, ray)
         sums.evaluate()
         check_variant_kept()
         if not sums.lacking:
@@ -171,31 +173,23 @@ class LaunchedRays:
             self.beam = self.beam.in_lanes(one.beams * several, batch)
         self.ray: Any = None
 
-    def add(self, sampler: mi.Sampler, ray: mi.UInt32) -> None:
-        """Add to the sums what becomes of one ray per lane, number `ray` of a batch."""
-        self.setup.method.add(self, sampler, ray)
-
-    def follow(
-        self,
-        sampler: mi.Sampler,
-        max_depth: int | None = None,
-        deposits: Any = None,
-        begun: Any = None,
-    ) -> Exits:
-        """Exits of one ray per lane, by the cheapest transport that is exact for it.
+    def path(
+        self, max_depth: int | None = None, deposits: Any = None, begun: Any = None
+    ) -> Callable[[mi.Sampler], Exits]:
+        """Function that follows one ray per lane, by the cheapest transport.
 
         `max_depth` is that of the settings unless given; `deposits` and `begun` are
         those of :func:`~.surface_loop.trace`.
         """
-        setup = self.setup
+        setup, light = self.setup, self.wavelengths
         how, specimen = path_settings(setup), setup.specimen
         if max_depth is not None:
             how = replace(how, max_depth=max_depth)
+        told: dict[str, Any] = {"wavelengths": light, "settings": how}
         if begun is None and not traces(setup):
-            plane = specimen.plane
-            return scatter_plane(plane, self.beam, sampler, self.wavelengths, how)
-        light = self.wavelengths
-        return trace(specimen, self.beam, sampler, light, how, deposits, begun)
+            return partial(scatter_plane, specimen.plane, self.beam, **told)
+        told |= {"deposits": deposits, "begun": begun}
+        return partial(trace, specimen, self.beam, **told)
 
     def collect(self, exits: Exits, active: mi.Bool) -> tuple[mi.UInt32, Exits]:
         """Add to the sums what arrived; its bins, and the exits of the order asked."""

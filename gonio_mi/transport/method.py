@@ -106,7 +106,7 @@ class Method:
 
         `rays` are :class:`~.launch.LaunchedRays`.
         """
-        rays.collect(rays.follow(sampler), ray < rays.size)
+        rays.collect(rays.path()(sampler), ray < rays.size)
 
     # --------------------------------------------------------------------- after rays
 
