@@ -89,9 +89,9 @@ def add_quiet(group: Group) -> None:
     group.add_argument("-q", "--quiet", action="store_true", help=text)
 
 
-def add_json(parser: argparse.ArgumentParser) -> None:
+def add_json(group: Group) -> None:
     """Add the option of printing JSON."""
-    parser.add_argument("--json", action="store_true", help="Print the result as JSON.")
+    group.add_argument("--json", action="store_true", help="Print the result as JSON.")
 
 
 def add_scene_options(

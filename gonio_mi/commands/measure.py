@@ -15,6 +15,7 @@ examples:
   gonio-mi measure grooves.xml --theta-i 30 --order 1,2,3+ -o grooves.npz
   gonio-mi measure scene.xml -D height=0.5 --theta-i 45 -o run.npz \
       --resume run.npz
+  gonio-mi measure diffuse --theta-i 45 --json | jq .directions[0].dhr
 
 Several orders give a file each: grooves_order_1.npz, grooves_order_2.npz, ... A scene
 file that is a complete measurement sets the defaults of all options.
@@ -47,6 +48,7 @@ from .arguments import (
     INCOMPLETE,
     USER_ERROR,
     Group,
+    add_json,
     add_number,
     add_output,
     add_scene_options,
@@ -61,6 +63,7 @@ from .arguments import (
     sentence,
     specimen_of,
     tell,
+    tell_json,
 )
 from .campaign_options import (
     CampaignParts,
@@ -102,6 +105,7 @@ def add_options(parser: ArgumentParser) -> None:
     add_surface_options(parser)
     add_scene_options(parser)
     group = parser.add_argument_group("Output")
+    add_json(group)
     add_output(group, "Write the record to .exr or .npz files; both hold all of it.")
     text = "Resume this interrupted record of the same measurement."
     add_text(group, "--resume", "RECORD", text)
@@ -131,8 +135,10 @@ def run(options: Namespace) -> int:
     orders = str(options.order).split(",")
     if len(orders) == 1:
         return _run(options)
-    if options.resume is not None or options.folder is not None:
-        raise SettingError("--resume and --folder apply to one order, got several")
+    if options.resume is not None or options.folder is not None or options.json:
+        raise SettingError(
+            "--resume, --folder and --json apply to one order, got several"
+        )
     for order in orders:
         Order.parse("order", order)
     if options.workers is None and options.tolerance is None:
@@ -163,7 +169,7 @@ def _run(options: Namespace, orders: Sequence[str] = ()) -> int:
     specimen, parameters = specimen_of(options.specimen, options, parallel_variants())
     check_not_read(specimen, options.specimen, options.output)
     specimen = prepared_surface(specimen, options)
-    if not options.quiet:
+    if not (options.quiet or options.json):
         tell_mesh(specimen, options)
     settings = given_settings(options)
     settings |= {"parameters": parameters, "progress": not options.quiet}
@@ -210,7 +216,9 @@ def _finish(
 ) -> int:
     """Show a record, which was saved; return the exit code."""
     numbers = summarize(record)
-    if options.quiet:
+    if options.json:
+        tell_json(numbers.as_mapping())
+    elif options.quiet:
         for text in numbers.warnings:
             say(f"warning: {text}")
     else:

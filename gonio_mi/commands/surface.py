@@ -190,6 +190,9 @@ def run(options: Namespace) -> int:
         source = read_height_map(Path(name), image_heights)
         found = topography(source, Preparation(periodic=specimen["periodic"], **given))
         joined = found.periodic
+        if found.width_guess:
+            tell(found.summary())
+            raise SettingError(found.concerns()[0])
         said.append(found.summary() + "\n")
         for concern in found.concerns():
             say(f"warning: {concern}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -116,9 +117,10 @@ def read_height_map(
 
 def unreadable(path: Path, error: Exception) -> SpecimenError:
     """Error for a file that holds no heights, with the reason of whoever read it."""
+    said = re.sub(r"\[\w+\.(cpp|h):\d+\] ", "", " ".join(str(error).split()))
     return SpecimenError(
-        f"heightfield.filename must be an image, a .npy file or a file of a "
-        f"profilometer, got {path}: {error}"
+        "heightfield.filename must be an image, a .npy file or a file of a "
+        f"profilometer, got {path}, which is damaged or something else: {said}"
     )
 
 

@@ -40,6 +40,10 @@ VISIBLE = 550e-9
 # slope of 70 degrees. Grooves and fibres have less.
 MAX_ALPHA = 4.0
 
+# Alpha below which units are more likely wrong than facets flat: the best mirrors have
+# as much, 20 nm over some millimetres; with nm taken for mm it is a millionth.
+MIN_ALPHA = 1e-5
+
 # Change of alpha over one wavelength, as a part of it, up to which facets smaller than
 # that are no matter: the same surface in facets of its size would have the same slopes.
 MAX_ALPHA_CHANGE = 0.03
@@ -129,19 +133,24 @@ class Topography:
         """Sentences on what makes a measurement of it doubtful."""
         s = self.statistics
         found = []
-        if self._width:
+        if self.width_guess:
             found.append(
-                f"the width of {self.source} is not known, and {self._width} was "
+                f"the width of {self.source} is not known, and {self.width_guess} was "
                 f"taken, which makes its rms slopes {_rms_slopes(s)} degrees: give "
                 "size (--size), in the unit of the heights"
             )
         steepest = max(s.alpha_u, s.alpha_v)
-        if steepest > MAX_ALPHA:
+        if steepest > MAX_ALPHA or 0 < steepest < MIN_ALPHA:
             degrees = math.degrees(math.atan(steepest / math.sqrt(2)))
+            word = "steep" if steepest > MAX_ALPHA else "flat"
+            extent, rms = "{:.4g} x {:.4g}".format(*self.extent), f"{s.rms_height:.3g}"
+            unit = "" if self.unit is None else f" {self.unit}"
             found.append(
-                f"the facets of {self.source} are absurdly steep, alpha "
+                f"the facets of {self.source} are absurdly {word}, alpha "
                 f"{s.alpha_u:.3g} x {s.alpha_v:.3g}, an rms slope of {degrees:.4g} "
-                "degrees: heights and size must be in one unit; see scale, range, size"
+                f"degrees, for an extent of {extent}{unit} and an rms height of "
+                f"{rms}{unit}: both must be in one unit; give the extent by size "
+                "(--size), the heights by scale (--scale) or range (--range)"
             )
         if steps := self._slope_steps():
             unit = "" if self.unit is None else f" {self.unit}"
@@ -161,11 +170,13 @@ class Topography:
         steps = self._slope_steps()
         unit = "" if self.unit is None else f" in {self.unit}"
         coarse = "" if steps is None else f"; slopes in steps of {steps[1]}"
-        width = f"; width not given, {self._width} taken" if self._width else ""
+        width = (
+            f"; width not given, {self.width_guess} taken" if self.width_guess else ""
+        )
         return f"{self.statistics}{unit}{width}{coarse}"
 
     @property
-    def _width(self) -> str:
+    def width_guess(self) -> str:
         """The width that was taken; empty if it is known, or no matter in a plane."""
         if not self.width_taken or not self.statistics.rms_height:
             return ""

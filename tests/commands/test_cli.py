@@ -784,6 +784,22 @@ def test_show_json_holds_the_records_numbers(run, saved):
     assert numbers["settings"]["collector"] == "solid:6x8"
 
 
+def test_measure_json_is_that_of_show(run, tmp_path):
+    """Exact, of one direction and of a stack; nothing but JSON is printed."""
+    path = tmp_path / "run.npz"
+    for angles in (["45"], ["0", "60"]):
+        measured = ("measure", "diffuse", "--theta-i", *angles, "--rays", "1e4")
+        code, out, err = run(*measured, "--json", "-o", path)
+        assert (code, err) == (0, "")
+        assert len(json.loads(out)["directions"]) == len(angles)
+        assert run("show", path, "--json") == (0, out, "")
+        assert run(*measured, "--json", "-q")[0] == 0
+
+
+def test_measure_json_is_of_one_order(refuse):
+    assert "apply to one order" in refuse(*QUICK, "--json", "--order", "1,2+")
+
+
 def test_worst_patches_have_the_largest_relative_error(saved):
     record = gonio.load(saved[0])
     patches = summarize(record).worst_patches

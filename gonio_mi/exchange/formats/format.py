@@ -1,6 +1,6 @@
 """What formats of this room share: texts read line by line, and their interface.
 
-ALTA and Mitsuba have no module: their files are only refused.
+ALTA, Mitsuba and TracePro have no module: their files are only refused.
 """
 
 import re
@@ -199,5 +199,13 @@ FORMATS = (
         ),
         refused="it is a data file of ALTA, whose parametrisations of directions have "
         "no reader here: write it as a table of theta_i, phi_i, theta_o, phi_o, value",
+    ),
+    Format(
+        "TracePro",
+        (),
+        begins=re.compile(r"\*?TracePro Surface Property"),
+        refused="it is a surface property of TracePro, whose angles relative to the "
+        "specular direction have no reader here: write its BSDF data as a table of "
+        "theta_i, phi_i, theta_o, phi_o, value",
     ),
 )

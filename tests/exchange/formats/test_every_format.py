@@ -26,12 +26,14 @@ TEXTS = {
     "alta.dat": "#DIM 3 1\n#PARAM_IN RUSIN_TH_TD_PD\n#PARAM_OUT INV_STERADIAN\n"
     "0 0 0 0.3\n",
     "mitsuba.bsdf": "tensor_file\0\1\0",
+    "tracepro.txt": "*TracePro Surface Property Data\nFile Name\tpaint.txt\n",
     "a.bsdf180": "OPTIS - BSDF180 surface file v1.0\n0\n",
     "a.scattering": "OPTIS - Scattering v1.0\n",
     "a.simplescattering": "OPTIS - Simple scattering v1.0\n",
 }
 REFUSED = {
     "alta.dat": "a data file of ALTA, whose parametrisations",
+    "tracepro.txt": "a surface property of TracePro, whose angles",
     "mitsuba.bsdf": "a material of Mitsuba: measure the specimen measured:filename=",
     "a.bsdf180": "names two other files",
     "a.scattering": "parameters of a model",

@@ -100,7 +100,7 @@ def test_text_with_labels_is_no_map_of_heights(formats, tmp_path):
     for labels in ("{ Thickness } 3.0", "# wavelength T Rf Rb", "wavelength T Rf Rb"):
         path.write_text(f"{labels}\n{SPECTRUM}")
         with pytest.raises(
-            ValueError, match=f"such as {labels}, and no map of heights"
+            ValueError, match=f"such as {labels}, and not a grid of heights"
         ):
             height_map_reader.read(str(path), formats.split(","))
     maps = "Channel: Main\nWidth: 10 um\nHeight: 10 um\nValue units: um\n"
