@@ -135,7 +135,7 @@ def campaign(
     }
     for other, value in others.items():
         if value is not None:
-            raise SettingError(f"tolerance and {other} exclude each other, got both")
+            raise SettingError(f"tolerance and {other} are mutually exclusive")
     records: dict[str, Record] = chosen_directions(
         specimens, tolerance, theta_max, where, settings
     )

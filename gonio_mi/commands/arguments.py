@@ -60,7 +60,7 @@ def add_number(
 
 def add_stokes(group: Group, text: str) -> None:
     """Add the option that takes the Stokes vector of incident light."""
-    text += " Of records of polarised variants; 1 1 0 0 is light along s."
+    text += " For records of polarised variants; 1 1 0 0 is light polarised along s."
     names: Any = ("I", "Q", "U", "V")
     add_text(group, "--stokes", names, text, nargs=4, type=number)
 
@@ -311,7 +311,9 @@ TABLE_OPTIONS = ("channel", "quantity", "columns", "azimuth", "panel_reflectance
 
 def add_table_options(group: Group) -> None:
     """Add the options on what a table of measured values leaves open."""
-    add_text(group, "--channel", "NAME", "Channel of a table of several: 550nm.")
+    add_text(
+        group, "--channel", "NAME", "Channel of a table with several, such as 550nm."
+    )
     text = "Quantity of the values, if the table does not state it: "
     text += "brdf, brdf_cos, btdf or reflectance_factor."
     add_text(group, "--quantity", "Q", text)
@@ -324,7 +326,7 @@ def add_table_options(group: Group) -> None:
     text += "(the side of the mirror direction)."
     add_text(group, "--azimuth", "FROM", text)
     text = "Reflectance of the reference panel that values are relative to. "
-    text += "Default: 1, or asked for where the title states it."
+    text += "Default: 1; required where the title states that of a panel."
     add_number(group, "--panel-reflectance", "X", text)
 
 

@@ -67,7 +67,7 @@ def _header(stream: BinaryIO) -> tuple[bytes, dict[str, bytes]] | None:
 
 
 def _word(stream: BinaryIO) -> str:
-    """Text that ends in a zero."""
+    """Null-terminated string."""
     letters = bytearray()
     while (letter := _exactly(stream, 1)) != b"\0":
         letters += letter

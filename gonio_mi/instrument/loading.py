@@ -245,7 +245,7 @@ def _with_advice(text: str) -> str:
     if advice := _without_base(text):
         return advice
     if missing := re.search(r'Plugin "([^"]+)" not found', text):
-        own = "; one of your own is imported before, or named by --plugin FILE"
+        own = "; import your own plugins first, or name their file with --plugin"
         if missing[1] in CALLED:
             return f"{text.rstrip('!')}; did you mean {CALLED[missing[1]]}?"
         return text.rstrip("!") + (did_you_mean(missing[1], _plugin_files()) or own)

@@ -271,7 +271,7 @@ BAD_OPTIONS = [
     ("--rays 1.5", "rays must be a whole number, got 1.5"),
     ("--rays 1e30", "rays must be at most 1e+15, got 1e+30"),
     ("--rays nan", "rays must be a whole number, got nan"),
-    ("--rays 5 --rel-err 0.1", "exclude each other"),
+    ("--rays 5 --rel-err 0.1", "are mutually exclusive"),
     ("--rel-err 2", "rel_err must be a number in (0, 1)"),
     ("--max-rays 1e6", "max_rays requires rel_err"),
     ("--collector projected:0x30", "at least 1, got 0"),
@@ -315,7 +315,7 @@ BAD_OPTIONS = [
 BAD_SPECIMENS = [
     ("difuse", "not found; did you mean diffuse?\n"),
     ("diffuse --phi_i=5", "--phi_i; did you mean --phi-i?\n"),
-    ("nothing", '"nothing" not found; one of your own is imported before, or'),
+    ("nothing", '"nothing" not found; import your own plugins first, or name'),
     ("diffuse:rho=1", "diffuse has no use for rho; it knows reflectance\n"),
     (
         "dielectric:ior=1.5",

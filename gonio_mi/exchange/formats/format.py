@@ -80,7 +80,7 @@ class Lines:
         return ""
 
     def skip(self, n: int) -> None:
-        """Go on by as many characters."""
+        """Skip n characters."""
         require(0 <= n <= len(self._text) - self._at, "it ends in its description")
         self.number += self._text.count("\n", self._at, self._at + n)
         self._at += n

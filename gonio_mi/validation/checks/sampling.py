@@ -228,7 +228,7 @@ def check_pooled(evidence: Evidence) -> None:
     """Test sums over all patches and conditions, for a small error everywhere."""
     for question in (SAMPLING, WEIGHTS):
         name = question.name
-        varying = (m for m in evidence.maps if name == "weights" or m.count_varies)
+        varying = (m for m in evidence.maps if name == "weights" or m.is_count_random)
         # what is certain is judged one by one
         scores = [z for m in varying if 0 < abs(z := m.scores(name).total) < 8]
         if len(scores) > 1:
