@@ -84,7 +84,7 @@ def campaign(
     threads : int, optional
         Threads of each worker. Default: all cores, or for `executor` an int its share.
     retries : int
-        How often tasks are sent again whose worker died.
+        How often tasks are repeated whose worker died.
     progress : bool
         Show a progress bar on standard error.
     **settings

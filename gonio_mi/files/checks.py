@@ -101,7 +101,8 @@ def _check_tally(tally: Tally, record: Record) -> None:
         require(float(np.abs(getattr(tally, name)).sum(dtype=float)) < 2.0**64, reason)
     ledger = tally.ledger
     require(
-        bool(ledger.direct) or not tally.direct.any(), "it has direct light of no ray"
+        bool(ledger.direct) or not tally.direct.any(),
+        "it has direct light without a ray",
     )
     if not (estimator.deposits or estimator.splits):
         left = (ledger.reflected, ledger.transmitted + ledger.direct)

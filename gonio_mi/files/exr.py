@@ -122,7 +122,7 @@ def read(stream: BinaryIO, added_up: bool = False) -> Record:
         If the file holds something else, or does not agree with its check sum.
     """
     magic = stream.read(len(MAGIC))
-    require(magic == MAGIC, "it is no OpenEXR file")
+    require(magic == MAGIC, "it is not an OpenEXR file")
     # damage makes the library print, drop parts, take any memory or crash
     check_seal(stream)
     stream.seek(0)

@@ -36,7 +36,7 @@ class Part:
 def parts_of(stream: BinaryIO) -> list[Part]:
     """Parts of an image of several."""
     _, version = struct.unpack("<4sI", _exactly(stream, BEGIN))
-    require(version & ~LONG_NAMES == SEVERAL_PARTS, "it is no image of several parts")
+    require(version & ~LONG_NAMES == SEVERAL_PARTS, "it is not a multi-part image")
     headers = []
     while found := _header(stream):
         headers.append(found)

@@ -159,7 +159,7 @@ def read_apart(path: str, formats: Sequence[str]) -> tuple[dict[str, Any], Float
         except subprocess.TimeoutExpired:
             raise ValueError(f"that took more than {PATIENCE} seconds") from None
         except (ValueError, IndexError):
-            raise ValueError("its reader broke down, it is probably damaged") from None
+            raise ValueError("its reader crashed: it is probably damaged") from None
         if "error" in facts:
             raise ValueError(facts["error"])
         return facts, np.load(out)

@@ -284,7 +284,7 @@ class Preparation:
         if given.codes is None:
             if height_range is not None:
                 raise SettingError(
-                    "range (--range) goes with images of whole numbers; for the "
+                    "range (--range) applies to images of integers; for the "
                     f"heights of {given.source} take scale (--scale)"
                 )
             return 1.0 if scale is None else scale
@@ -319,7 +319,7 @@ class Preparation:
         metres(self.unit)
         if given.unit is not None:
             raise SettingError(
-                "unit (--unit) goes with files that do not state theirs; "
+                "unit (--unit) applies to files that do not state theirs; "
                 f"{given.source} is in {given.unit}, got {self.unit}"
             )
         return self.unit

@@ -81,7 +81,7 @@ class Lines:
 
     def skip(self, n: int) -> None:
         """Skip n characters."""
-        require(0 <= n <= len(self._text) - self._at, "it ends in its description")
+        require(0 <= n <= len(self._text) - self._at, "it ends within its header")
         self.number += self._text.count("\n", self._at, self._at + n)
         self._at += n
 
@@ -119,7 +119,7 @@ def check_size(*counts: int) -> int:
     """
     product = 1
     for count in counts:
-        require(count >= 1, f"it announces {count} of something")
+        require(count >= 1, f"it announces a count of {count}")
         product *= count
         require(product <= MAX_NUMBERS, "it announces more values than any file has")
     return product

@@ -270,7 +270,7 @@ def _root(stream: BinaryIO) -> ElementTree.Element:
         raise FileFormatError(f"it is not XML: {error}") from None
     for element in root.iter():
         element.tag = element.tag.rpartition("}")[2]
-    require(root.tag == "WindowElement", "it is no WindowElement of Radiance")
+    require(root.tag == "WindowElement", "it is not a Radiance WindowElement")
     return root
 
 

@@ -249,7 +249,7 @@ def tensor_bytes(n_fields=1, kind=10, place=64, shape=(4,), version=1, cut=None)
     ("data", "message"),
     [
         (b"PK", "truncated"),
-        (b"something else", "no tensor file"),
+        (b"something else", "not a tensor file"),
         (tensor_bytes(version=2), "unknown version 2.0"),
         (tensor_bytes(n_fields=2**31), "announces 2147483648 fields"),
         (tensor_bytes(kind=99), "unknown type 99"),
