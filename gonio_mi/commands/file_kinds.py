@@ -96,7 +96,7 @@ def record_of(path: str) -> Record:
 
 
 def _kind(path: Path) -> tuple[str, str]:
-    """What commands take a file as, and a sentence on it."""
+    """Kind of a file, and a sentence on which commands take it."""
     from .. import files
     from ..surfaces import height_maps
     from ..surfaces.meshes import MESHES

@@ -127,7 +127,7 @@ def _add_angles(group: Group) -> None:
 
 
 def run(options: Namespace) -> int:
-    """Measure; what goes wrong with files does so before.
+    """Measure, after the output files have been checked.
 
     Several orders, ``1,2,3+``, are measured with the same rays, each into files of its
     own: all at once, or one campaign after the other.
@@ -152,7 +152,7 @@ def run(options: Namespace) -> int:
 
 
 def _order_path(path: str, order: str) -> str:
-    """Name of the file of one order among several; as it is without one."""
+    """File name of one order among several; unchanged without one."""
     if not order:
         return path
     whole = Path(path)
@@ -160,7 +160,7 @@ def _order_path(path: str, order: str) -> str:
 
 
 def _run(options: Namespace, orders: Sequence[str] = ()) -> int:
-    """Measure what the options say, or several orders of it at once."""
+    """Measure by the options, or several orders at once."""
     for path in options.output:
         _check_kind(path)
         files.check_output(path, files.ENDINGS)
@@ -201,7 +201,7 @@ def _run(options: Namespace, orders: Sequence[str] = ()) -> int:
 
 
 def _check_kind(path: str) -> None:
-    """Say which command makes a file of a record that is none itself."""
+    """Name the command that makes a file which is not a record."""
     ending = Path(path).suffix.lower()
     for command, endings in MAKERS.items():
         if ending in endings:
@@ -268,7 +268,7 @@ def _save(record: Record, paths: Sequence[str]) -> list[str]:
 
 
 def _remains(options: Namespace, output: Sequence[str], record: Record) -> str:
-    """What is left of an interrupted measurement."""
+    """What an interrupted measurement has finished and saved."""
     asked = len(options.theta_i or [None]) * len(options.phi_i)
     kept = f"{len(record)} of {asked} incident directions"
     if record.ledger.emitted:

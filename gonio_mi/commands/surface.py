@@ -62,7 +62,7 @@ def add_options(parser: ArgumentParser) -> None:
 
 
 def add_surface_options(parser: ArgumentParser) -> None:
-    """Add the options that say what a height map or a mesh is, in a group."""
+    """Add the options of height maps and meshes, in a group."""
     axes = ", ".join(NORMALS)
     about = "For a height map, or a mesh (--bsdf, --unit, --normal, --mean-plane)."
     group = parser.add_argument_group("Surface", about)
@@ -106,7 +106,7 @@ def _add_height_map(group: Group) -> None:
 
 
 def prepared_surface(specimen: SpecimenLike, options: Namespace) -> Any:
-    """The specimen, or the shape of a height map or a mesh with what is given.
+    """The specimen, or the shape of a height map or a mesh with the given options.
 
     The surface of a height map is finite, unless a period joins its last row and column
     to the first. In one word, ``heightfield:alpha=0.2``, it is as the plugin has it.

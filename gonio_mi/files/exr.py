@@ -166,7 +166,7 @@ def _part_name(name: str, index: int, n: int) -> str:
 
 
 def _include(digest: Any, arrays: Mapping[str, Numbers]) -> None:
-    """Include what the pixels hold of a tally, exactly, in a check sum."""
+    """Add a tally's exact pixel values to a check sum."""
     for name in ("hits", "sums", "errors", "elements"):
         if name in arrays:
             digest.update(np.ascontiguousarray(bits(arrays[name]), dtype="<u8").data)

@@ -75,7 +75,7 @@ def _word(stream: BinaryIO) -> str:
 
 
 def _exactly(stream: BinaryIO, n: int) -> bytes:
-    """So many bytes, of a file that has them."""
+    """Exactly n bytes; FileFormatError if the file has fewer."""
     content = stream.read(n) if n >= 0 else b""
     require(n >= 0 and len(content) == n, "a header of its parts is damaged")
     return content

@@ -101,7 +101,7 @@ def write(record: Record, stream: BinaryIO) -> None:
 
 
 def _write_joined(file: IO[bytes], parts: Sequence[Numbers]) -> None:
-    """Write what `numpy.concatenate` would make, which may need all of the memory."""
+    """Write concatenated arrays without `numpy.concatenate`'s copy in memory."""
     dtype, length = np.result_type(*parts), sum(len(part) for part in parts)
     header = {
         "descr": np.lib.format.dtype_to_descr(dtype),

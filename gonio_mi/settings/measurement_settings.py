@@ -64,7 +64,7 @@ def _sampler(label: str, value: object) -> Any:  # noqa: ARG001
 
 
 class Estimator(str, Enum):
-    """How what a ray or an event tells becomes a sum over patches."""
+    """How rays and events are summed over patches."""
 
     WEIGHTED = "weighted"
     ANALOG = "analog"
@@ -475,7 +475,7 @@ class MeasurementSettings:
         return self.points if self.estimator.deposits else 1
 
     def changed(self, **given: Any) -> MeasurementSettings:
-        """These settings with those that are `given`; None leaves one as it is.
+        """Copy of these settings with the `given` ones changed; None keeps a value.
 
         Raises
         ------

@@ -42,11 +42,11 @@ ESRI = re.compile(
 
 
 class UnfitFileError(ValueError):
-    """A file that holds something else than heights, or more than it can."""
+    """A file that does not hold heights, or whose header is impossible."""
 
 
 def read(path: str, formats: Sequence[str]) -> tuple[dict[str, Any], Any]:
-    """Return what a file says of itself, and its heights, NaN for missing points.
+    """Return a file's metadata and heights, NaN for missing points.
 
     Row 0 of the heights is the first of the file. Whatever is wrong raises ValueError.
     """

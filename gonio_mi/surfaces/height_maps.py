@@ -47,7 +47,7 @@ PATIENCE = 300
 
 @dataclass(frozen=True, eq=False)
 class HeightMap:
-    """Heights on a regular grid, and what their file says of them.
+    """Heights on a regular grid, and the metadata of their file.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class HeightMap:
 
 
 def is_height_map(path: str | os.PathLike[str]) -> bool:
-    """Whether a file's name says that it holds heights."""
+    """Whether a file is a height map by its name."""
     return os.fspath(path).lower().endswith(ENDINGS)
 
 

@@ -27,7 +27,7 @@ UNITS |= {"nm": 1e-9, "Å": 1e-10, "pm": 1e-12, "in": 0.0254}
 
 
 def metres(unit: str) -> float:
-    """Metres of one unit; ValueError for what is none."""
+    """Metres of one unit; ValueError for an unknown one."""
     if unit not in UNITS:
         raise SettingError(f"unit must be one of {', '.join(UNITS)}, got {shown(unit)}")
     return UNITS[unit]
@@ -130,7 +130,7 @@ class Topography:
         return "\n".join(f"{name:<10}{text}" for name, text in lines)
 
     def concerns(self) -> list[str]:
-        """Sentences on what makes a measurement of it doubtful."""
+        """Reasons to doubt a measurement of the surface, as sentences."""
         s = self.statistics
         found = []
         if self.width_guess:
@@ -183,7 +183,7 @@ class Topography:
         return f"{self.extent[0]:.4g}{'' if self.unit is None else f' {self.unit}'}"
 
     def _slope_steps(self) -> tuple[float, str] | None:
-        """Steps of slopes, and what part of the rms slope they are; None if fine."""
+        """Slope of a height step, and its share of the rms slope; None if small."""
         s = self.statistics
         rms = max(s.alpha_u, s.alpha_v) / 2**0.5
         slope = 0.0 if self.step is None else self.step / min(self.spacing)
@@ -192,7 +192,7 @@ class Topography:
         return slope, f"{100 * slope / rms:.3g} % of the rms slope"
 
     def _waves(self, s: HeightStatistics, wavelength: float) -> list[str]:
-        """What geometric optics leaves out at a wavelength in scene units."""
+        """Wave effects beyond geometric optics at a wavelength in scene units."""
         found = []
         shown = f"{wavelength:.3g} {self.unit}"
         least = min(self.spacing)
@@ -247,7 +247,7 @@ def _rms_slopes(statistics: HeightStatistics) -> str:
 
 @dataclass(frozen=True)
 class Preparation:
-    """What a map of heights needs to be a surface.
+    """Settings that turn a map of heights into a surface.
 
     Attributes
     ----------
@@ -313,7 +313,7 @@ class Preparation:
         return dx, dy
 
     def unit_of(self, given: HeightMap) -> str | None:
-        """The unit of length of a map: what its file says, or what its user does."""
+        """The unit of length of a map, from its file or from the user."""
         if self.unit is None:
             return given.unit
         metres(self.unit)

@@ -80,7 +80,7 @@ WHITE = (4 / 19, 9 / 19)
 
 @dataclass(frozen=True)
 class Product:
-    """What the file says of the product, beside its light.
+    """Product data of the file, apart from its BSDF.
 
     Attributes
     ----------
@@ -365,7 +365,7 @@ class RadianceBSDF:
             require(wavelength == "Solar" or not missing, reason)
 
     def holds(self, side: str, hemisphere: int) -> bool:
-        """Whether there is reflection (0) or transmission (1) of a lit face."""
+        """Whether the file has reflection (0) or transmission (1) of a lit face."""
         if ("Visible", DIRECTIONS[side, hemisphere]) in self.blocks:
             return True
         return self.is_reciprocal(side, hemisphere)

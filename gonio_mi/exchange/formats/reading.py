@@ -42,7 +42,7 @@ def endings_of(can: str) -> tuple[str, ...]:
 
 
 def lost_in_each() -> str:
-    """Line for each format with what its files cannot hold."""
+    """One line per format on what its files cannot hold."""
     rows = ((" ".join(one.endings), one) for one in _all() if one.loses)
     return "\n".join(f"  {name:18} {one.program}: {one.loses}" for name, one in rows)
 

@@ -34,7 +34,7 @@ Terms: TypeAlias = tuple[Floats, ...]
 
 
 class Sampling(Mistake):
-    """What is wrong with densities."""
+    """Mistakes in densities."""
 
     MORE_THAN_1 = "{who} integrates to {mass:.4g}, more than 1{dark}"
     DARK_SIDE = """{who} is not 0 from a side that `flags` does not declare, where
