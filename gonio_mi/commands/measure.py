@@ -15,7 +15,6 @@ examples:
   gonio-mi measure grooves.xml --theta-i 30 --order 1,2,3+ -o grooves.npz
   gonio-mi measure scene.xml -D height=0.5 --theta-i 45 -o run.npz \
       --resume run.npz
-  gonio-mi measure diffuse --theta-i 45 --json | jq .directions[0].dhr
 
 Several orders give a file each: grooves_order_1.npz, grooves_order_2.npz, ... A scene
 file that is a complete measurement sets the defaults of all options.
@@ -106,7 +105,7 @@ def add_options(parser: ArgumentParser) -> None:
     add_scene_options(parser)
     group = parser.add_argument_group("Output")
     add_json(group)
-    add_output(group, "Write the record to .exr or .npz files; both hold all of it.")
+    add_output(group, "Write the record to .exr or .npz files. Both hold all of it.")
     text = "Resume this interrupted record of the same measurement."
     add_text(group, "--resume", "RECORD", text)
     folder = "none; with --tolerance a temporary folder next to the output file"

@@ -129,8 +129,8 @@ class MeasurementSettings:
         10**6,
         count(1, MAX_RAYS),
         Kind.COUNT,
-        "Rays for each incident direction, at most 1e15. In spectral variants, as many "
-        "for every four wavelengths.",
+        "Rays for each incident direction. In spectral variants, as many for every "
+        "four wavelengths. At most 1e15.",
         group=METHOD,
         shown_default="1e6",
     )

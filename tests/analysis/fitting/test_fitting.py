@@ -645,7 +645,7 @@ def test_command_on_a_specimen(capfd):
         ("hg diffuse", "specimen must be a BSDF, a shape or a scene"),
         ("diffuse hg --free g=0:1", "model must be a BSDF, got HGPhaseFunction"),
         ("diffuse conductor", "free must name the parameters of conductor to fit"),
-        ("diffuse diffuse:reflectance=0.5", "not what is given, got nothing"),
+        ("diffuse diffuse:reflectance=0.5", "has a given value, got nothing"),
         ("diffuse diffuse --uncertainty 0.1", "--uncertainty applies to tables only"),
         ("diffuse diffuse -D a=1", "-D applies to scene files only"),
         ("a.npz diffuse --rays 1e4", "--rays applies to a specimen that is to be"),
