@@ -80,14 +80,15 @@ def _read(path: str, name: str) -> tuple[dict[str, Any], Any]:
         return _tiff(path)
     if name == "asc" and (grid := _esri(path)):
         return grid
-    if name == "sdf":
-        with open(path, "rb") as stream:
-            magic = stream.read(8)
-        if magic in (b"aISO-2.0", b"bISO-2.0"):
-            raise UnfitFileError(
-                "it is an SDF file of version 2.0 (ISO 25178-71), of which only 1.0 is "
-                "read: export it as SDF 1.0 or X3P"
-            )
+    with open(path, "rb") as stream:
+        magic = stream.read(12)
+    if magic.startswith((b"aISO-2.0", b"bISO-2.0")):
+        raise UnfitFileError(
+            "it is an SDF file of version 2.0 (ISO 25178-71), of which only 1.0 is "
+            "read: export it as SDF 1.0 or X3P"
+        )
+    if magic == b"ISO-10303-21":
+        raise UnfitFileError("it is a STEP model: export a mesh (obj, ply, stl)")
     return _map(path, name)
 
 

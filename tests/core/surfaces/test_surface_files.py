@@ -105,6 +105,7 @@ def test_esri_grids_are_read(tmp_path, cells):
     [
         ("a.asc", GRID.format("cellsize 2") + "7", "of 3 x 2 points .* got 7"),
         ("a.asc", GRID.format(""), "must state its cellsize"),
+        ("a.stp", "ISO-10303-21;\nHEADER;\n", "it is a STEP model: export a mesh"),
         ("a.sdf", "aISO-2.0\n", "an SDF file of version 2.0 .* only 1.0 is read"),
         (
             "a.asc",

@@ -72,6 +72,7 @@ def test_what_is_no_specimen(name, tmp_path, capsys):
             "ply\nformat ascii 1.0\nelement vertex 1\nend_header\n\n",
             "a cloud of points, which no command reads",
         ),
+        ("part.glb", "glTF", "is a model of another program"),
         ("room.rad", "void plastic red\n0\n0\n", "is a scene of Radiance"),
         ("README.md", "# Title\n", "is no specimen: scenes are Mitsuba's, in XML"),
     ],
