@@ -140,7 +140,8 @@ def _map(path: str, name: str) -> tuple[dict[str, Any], Any]:
         heights = np.ma.filled(found.heights().astype(float), np.nan)
         shape = heights.shape
         spacing = [float(s) / n for s, n in zip(sizes, shape)] if sizes else None
-        if name == "nms" and spacing and max(spacing) > MAX_NMS_SPACING:
+        is_micro = name == "nms" and found.unit == "µm"
+        if is_micro and spacing and max(spacing) > MAX_NMS_SPACING:
             spacing = [length * 1e-6 for length in spacing]
         if name == "asc" and not (sizes or found.unit or channel.name != "Default"):
             _check_labels(path, shape[0])
