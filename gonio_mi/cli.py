@@ -66,6 +66,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     _open_standard_streams()
     with warnings.catch_warnings():
         warnings.simplefilter("always", RuntimeWarning)
+        # an error follows, which says the same
+        warnings.filterwarnings("ignore", "nanobind: attempted to access an uninit")
         # a campaign, which loads its specimen many times, warns once
         warnings.showwarning = partial(_show_warning, cache(say))
         options = None

@@ -92,7 +92,7 @@ def check_regular(path: str | os.PathLike[str]) -> None:
     """Raise FileFormatError for a pipe or device, which may have no end."""
     if os.path.exists(path) and not (os.path.isfile(path) or os.path.isdir(path)):
         name = printable(os.fspath(path))
-        raise FileFormatError(f"{name} is no file to read, but a pipe or a device")
+        raise FileFormatError(f"{name} is a pipe or a device, not a file to read")
 
 
 def _without_middle(text: str, longest: int) -> str:

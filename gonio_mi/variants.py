@@ -25,12 +25,12 @@ def unpolarised(variant: str) -> str:
 
 
 def is_parallel(variant: str) -> bool:
-    """Whether it computes many rays at once: in all of these BSDFs can be judged."""
+    """Whether the variant is vectorised: in all of these BSDFs can be judged."""
     return not variant.startswith("scalar")
 
 
 def is_parallel_unpolarised(variant: str) -> bool:
-    """Whether it computes many rays at once, and without polarisation."""
+    """Whether the variant is vectorised and unpolarised."""
     return is_parallel(variant) and not is_polarised(variant)
 
 

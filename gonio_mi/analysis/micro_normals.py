@@ -88,8 +88,8 @@ def found_facets(specimen: Specimen, points: int, blocks: int, seed: int) -> Fac
     there = si.is_valid().numpy()
     if np.count_nonzero(there) < 0.99 * len(there):
         raise SpecimenError(
-            "micro_normals needs surfaces that rays find where they are, but "
-            f"{np.count_nonzero(~there)} of {len(there)} points were not found"
+            "micro_normals needs a surface that rays meet at all of its points, but "
+            f"they missed {np.count_nonzero(~there)} of {len(there)}"
         )
     area = np.repeat(areas / numbers, numbers) * there
     low, extent = specimen.low[:2], (specimen.high - specimen.low)[:2]

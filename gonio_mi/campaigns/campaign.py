@@ -84,7 +84,7 @@ def campaign(
     threads : int, optional
         Threads of each worker. Default: all cores, or for `executor` an int its share.
     retries : int
-        How often tasks are sent again whose worker died.
+        How often tasks are repeated whose worker died.
     progress : bool
         Show a progress bar on standard error.
     **settings
@@ -135,7 +135,7 @@ def campaign(
     }
     for other, value in others.items():
         if value is not None:
-            raise SettingError(f"tolerance and {other} exclude each other, got both")
+            raise SettingError(f"tolerance and {other} are mutually exclusive")
     records: dict[str, Record] = chosen_directions(
         specimens, tolerance, theta_max, where, settings
     )

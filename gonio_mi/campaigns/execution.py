@@ -156,7 +156,7 @@ def _finish(
             return
         if not left or isinstance(executor, Executor):
             raise death
-        warn(f"a worker died; {len(todo)} tasks are sent again")
+        warn(f"a worker process died; {len(todo)} tasks are repeated")
 
 
 def _shared_out(

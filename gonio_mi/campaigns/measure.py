@@ -92,7 +92,7 @@ def measure(
     if executor is None and folder is None:
         (record,) = measure_stacks(specimen, incidents, resume=resume, **settings)
     elif resume is not None:
-        raise SettingError("resume and folder exclude each other, got both")
+        raise SettingError("resume and folder are mutually exclusive")
     else:
         where: dict[str, Any] = {"executor": executor, "folder": folder}
         done = campaign({"specimen": specimen}, theta_i, phi_i, **where, **settings)

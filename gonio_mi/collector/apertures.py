@@ -82,7 +82,7 @@ class Apertures(Subdivision):
 
     @property
     def shape(self) -> tuple[int, int]:
-        """The cones and what is between them, in one column."""
+        """The cones and the gap between them, in one column."""
         return self.n_detectors + 1, 1
 
     @property

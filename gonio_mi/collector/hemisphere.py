@@ -61,7 +61,7 @@ class Subdivision(ABC):
 
     @property
     def n_detectors(self) -> int:
-        """Number of patches, from the first, that are more than what lies between."""
+        """Number of leading patches that are detectors, not gaps between them."""
         return self.n_patches
 
     @property
@@ -163,7 +163,7 @@ class Subdivision(ABC):
         return np.clip(index, 0, self.n_patches - 1).astype(int)
 
     def detectors(self, v: Floats) -> tuple[Integers, Flags]:
-        """Patch that measures each direction, and whether there is one.
+        """Patch that measures each direction, and a validity mask.
 
         Parameters
         ----------

@@ -79,7 +79,7 @@ class Receptors(Subdivision):
 
     @property
     def shape(self) -> tuple[int, int]:
-        """The windows and what is between them, in one column."""
+        """The windows and the gap between them, in one column."""
         return self.n_detectors + 1, 1
 
     @property

@@ -60,13 +60,13 @@ def add_number(
 
 def add_stokes(group: Group, text: str) -> None:
     """Add the option that takes the Stokes vector of incident light."""
-    text += " Of records of polarised variants; 1 1 0 0 is light along s."
+    text += " For records of polarised variants; 1 1 0 0 is light polarised along s."
     names: Any = ("I", "Q", "U", "V")
     add_text(group, "--stokes", names, text, nargs=4, type=number)
 
 
 def add_text(group: Group, option: str, metavar: str, text: str, **how: Any) -> None:
-    """Add an option or an argument that is a word, or several if `how` says so."""
+    """Add an option or argument with one value, or several if `how` states it."""
     group.add_argument(option, metavar=metavar, help=text, **how)
 
 
@@ -78,26 +78,26 @@ def add_files(group: Group, *options: str, text: str) -> None:
 
 
 def add_output(group: Group, text: str) -> None:
-    """Add the options of what becomes of a result: files, and silence."""
+    """Add the options for output files and quiet runs."""
     add_files(group, "-o", "--output", text=text)
     add_quiet(group)
 
 
 def add_quiet(group: Group) -> None:
-    """Add the option of printing nothing."""
+    """Add the option that suppresses output."""
     text = "Suppress summary and progress bar."
     group.add_argument("-q", "--quiet", action="store_true", help=text)
 
 
-def add_json(parser: argparse.ArgumentParser) -> None:
+def add_json(group: Group) -> None:
     """Add the option of printing JSON."""
-    parser.add_argument("--json", action="store_true", help="Print the result as JSON.")
+    group.add_argument("--json", action="store_true", help="Print the result as JSON.")
 
 
 def add_scene_options(
     parser: argparse.ArgumentParser, variants: Sequence[str] = (DEFAULT_VARIANT,)
 ) -> None:
-    """Add a group of the options that say what Mitsuba loads specimens with.
+    """Add the options for variant, plugins and parameters of specimens.
 
     The default of ``--variant`` is None where a command takes several `variants`.
     """
@@ -154,13 +154,13 @@ def given_settings(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def given_options(options: argparse.Namespace, names: Sequence[str]) -> dict[str, Any]:
-    """Values of those options that are given."""
+    """Values of the given options."""
     values = {name: getattr(options, name) for name in names}
     return {name: value for name, value in values.items() if value is not None}
 
 
 def option_of(name: str) -> str:
-    """Option as it is written, of the name of its value."""
+    """Spelling of an option, from the name of its value."""
     return f"--{name.replace('_', '-')}"
 
 
@@ -261,7 +261,7 @@ def number(text: str) -> float:
 
 
 def _number_or_word(text: str) -> float | str:
-    """Float, or the text as it is."""
+    """Float, or the unchanged text."""
     try:
         return float(text)
     except ValueError:
@@ -280,7 +280,7 @@ def pair(text: str) -> tuple[str, str]:
 
 
 def tell(result: object) -> None:
-    """Print a result; what a file holds cannot command the terminal."""
+    """Print a result, without control characters that a file may hold."""
     print(printable(str(result)), flush=True)
 
 
@@ -290,7 +290,7 @@ def tell_json(result: Any) -> None:
 
 
 def say(text: str) -> None:
-    """Print a line for the user, beside the results, if anyone reads it."""
+    """Print a line for the user to standard error, if it is open."""
     with contextlib.suppress(OSError, ValueError):
         print(shortened(f"{PROGRAM}: {text}"), file=sys.stderr)
 
@@ -310,8 +310,10 @@ TABLE_OPTIONS = ("channel", "quantity", "columns", "azimuth", "panel_reflectance
 
 
 def add_table_options(group: Group) -> None:
-    """Add the options on what a table of measured values leaves open."""
-    add_text(group, "--channel", "NAME", "Channel of a table of several: 550nm.")
+    """Add the options for what a table of measured values does not state."""
+    add_text(
+        group, "--channel", "NAME", "Channel of a table with several, such as 550nm."
+    )
     text = "Quantity of the values, if the table does not state it: "
     text += "brdf, brdf_cos, btdf or reflectance_factor."
     add_text(group, "--quantity", "Q", text)
@@ -324,7 +326,7 @@ def add_table_options(group: Group) -> None:
     text += "(the side of the mirror direction)."
     add_text(group, "--azimuth", "FROM", text)
     text = "Reflectance of the reference panel that values are relative to. "
-    text += "Default: 1, or asked for where the title states it."
+    text += "Default: 1; required where the title states that of a panel."
     add_number(group, "--panel-reflectance", "X", text)
 
 
@@ -353,7 +355,7 @@ def check_no_table_options(
 
 
 def table_of(path: str, options: argparse.Namespace) -> MeasuredTable:
-    """Table of a file, read as the options say."""
+    """Table of a file, read with the given options."""
     read_measured = ask("exchange", "read_measured")
     said = given_options(options, TABLE_OPTIONS)
     if "columns" in said:

@@ -25,7 +25,7 @@ TERMINATED = 143
 
 
 def add_campaign(group: Group, default: str = "none") -> None:
-    """Add where to measure, and where to keep what is finished."""
+    """Add the options for processes and the folder of finished directions."""
     text = "Measure the incident directions in this many processes."
     add_number(group, "--workers", "N", text)
     text = "Folder of finished incident directions, from which the same command "
@@ -52,7 +52,7 @@ def is_imprecise(record: Record) -> bool:
 
 
 def answered_by(answer: Any, number: int) -> Any:
-    """Let a function answer a signal; return what did before.
+    """Install a signal handler; return the previous one.
 
     Only in the main thread, where alone Python allows it: elsewhere None.
     """
@@ -63,7 +63,7 @@ def answered_by(answer: Any, number: int) -> Any:
 
 @contextmanager
 def kept_after_ctrl_c(folder: str | None) -> Iterator[None]:
-    """Context of a campaign, that Ctrl-C leaves with a sentence on what is kept.
+    """Context of a campaign in which Ctrl-C reports what is kept.
 
     So does SIGTERM, with an exit code of its own.
     """

@@ -122,7 +122,7 @@ def _measure_white() -> Record:
 
 
 def _faults(record: Record, brdf: float) -> list[str]:
-    """Sentences on what contradicts the constant `brdf`; none from a correct record.
+    """Deviations from the constant `brdf`, as sentences; none for a correct record.
 
     Every patch's exact interval has to contain it, at a level that shares `FALSE_ALARM`
     among the patches (Bonferroni); rays are counted, so totals have to agree exactly.

@@ -41,6 +41,8 @@ OTHERS = {
     ".h5 .hdf5 .nc": "holds arrays, which gonio-mi export writes and no command reads: "
     "records end in .npz or .exr",
     ".xyz .pts .pcd .las .laz .e57": POINTS,
+    ".step .iges .gltf .glb .fbx .dae .blend .3ds": "is a model of another program, "
+    "which no command reads: export a mesh (obj, ply, stl)",
     ".rad .oct": "is a scene of Radiance, which no command reads: scenes are "
     "Mitsuba's, in XML, and meshes end in .obj, .ply or .stl",
     ".py": "is a program in Python: give a plugin with --plugin, and its name as the "
@@ -96,7 +98,7 @@ def record_of(path: str) -> Record:
 
 
 def _kind(path: Path) -> tuple[str, str]:
-    """What commands take a file as, and a sentence on it."""
+    """Kind of a file, and a sentence on which commands take it."""
     from .. import files
     from ..surfaces import height_maps
     from ..surfaces.meshes import MESHES

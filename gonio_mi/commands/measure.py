@@ -47,6 +47,7 @@ from .arguments import (
     INCOMPLETE,
     USER_ERROR,
     Group,
+    add_json,
     add_number,
     add_output,
     add_scene_options,
@@ -61,6 +62,7 @@ from .arguments import (
     sentence,
     specimen_of,
     tell,
+    tell_json,
 )
 from .campaign_options import (
     CampaignParts,
@@ -102,7 +104,8 @@ def add_options(parser: ArgumentParser) -> None:
     add_surface_options(parser)
     add_scene_options(parser)
     group = parser.add_argument_group("Output")
-    add_output(group, "Write the record to .exr or .npz files; both hold all of it.")
+    add_json(group)
+    add_output(group, "Write the record to .exr or .npz files. Both hold all of it.")
     text = "Resume this interrupted record of the same measurement."
     add_text(group, "--resume", "RECORD", text)
     folder = "none; with --tolerance a temporary folder next to the output file"
@@ -123,7 +126,7 @@ def _add_angles(group: Group) -> None:
 
 
 def run(options: Namespace) -> int:
-    """Measure; what goes wrong with files does so before.
+    """Measure, after the output files have been checked.
 
     Several orders, ``1,2,3+``, are measured with the same rays, each into files of its
     own: all at once, or one campaign after the other.
@@ -131,8 +134,10 @@ def run(options: Namespace) -> int:
     orders = str(options.order).split(",")
     if len(orders) == 1:
         return _run(options)
-    if options.resume is not None or options.folder is not None:
-        raise SettingError("--resume and --folder apply to one order, got several")
+    if options.resume is not None or options.folder is not None or options.json:
+        raise SettingError(
+            "--resume, --folder and --json apply to one order, got several"
+        )
     for order in orders:
         Order.parse("order", order)
     if options.workers is None and options.tolerance is None:
@@ -146,7 +151,7 @@ def run(options: Namespace) -> int:
 
 
 def _order_path(path: str, order: str) -> str:
-    """Name of the file of one order among several; as it is without one."""
+    """File name of one order among several; unchanged without one."""
     if not order:
         return path
     whole = Path(path)
@@ -154,7 +159,7 @@ def _order_path(path: str, order: str) -> str:
 
 
 def _run(options: Namespace, orders: Sequence[str] = ()) -> int:
-    """Measure what the options say, or several orders of it at once."""
+    """Measure by the options, or several orders at once."""
     for path in options.output:
         _check_kind(path)
         files.check_output(path, files.ENDINGS)
@@ -163,7 +168,7 @@ def _run(options: Namespace, orders: Sequence[str] = ()) -> int:
     specimen, parameters = specimen_of(options.specimen, options, parallel_variants())
     check_not_read(specimen, options.specimen, options.output)
     specimen = prepared_surface(specimen, options)
-    if not options.quiet:
+    if not (options.quiet or options.json):
         tell_mesh(specimen, options)
     settings = given_settings(options)
     settings |= {"parameters": parameters, "progress": not options.quiet}
@@ -195,7 +200,7 @@ def _run(options: Namespace, orders: Sequence[str] = ()) -> int:
 
 
 def _check_kind(path: str) -> None:
-    """Say which command makes a file of a record that is none itself."""
+    """Name the command that makes a file which is not a record."""
     ending = Path(path).suffix.lower()
     for command, endings in MAKERS.items():
         if ending in endings:
@@ -210,7 +215,9 @@ def _finish(
 ) -> int:
     """Show a record, which was saved; return the exit code."""
     numbers = summarize(record)
-    if options.quiet:
+    if options.json:
+        tell_json(numbers.as_mapping())
+    elif options.quiet:
         for text in numbers.warnings:
             say(f"warning: {text}")
     else:
@@ -260,7 +267,7 @@ def _save(record: Record, paths: Sequence[str]) -> list[str]:
 
 
 def _remains(options: Namespace, output: Sequence[str], record: Record) -> str:
-    """What is left of an interrupted measurement."""
+    """What an interrupted measurement has finished and saved."""
     asked = len(options.theta_i or [None]) * len(options.phi_i)
     kept = f"{len(record)} of {asked} incident directions"
     if record.ledger.emitted:

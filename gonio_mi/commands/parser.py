@@ -127,7 +127,7 @@ class Parser(argparse.ArgumentParser):
                 self.error(f"unrecognized arguments: {name}{meant}")
 
     def _check_json(self, found: argparse.Namespace, rest: Sequence[str]) -> None:
-        """Say so if ``--json``, which prints, is given a file to write."""
+        """Refuse a file name after ``--json``, which prints."""
         if not getattr(found, "json", False):
             return
         alone = (getattr(found, a.dest, None) for a in self._get_positional_actions())
@@ -154,7 +154,7 @@ class _HelpAll(argparse.Action):
 
 
 def _sentence_and_default(text: str) -> str:
-    """The first sentence of a help text, and what it says of the default."""
+    """First sentence of a help text, and its default."""
     first = re.split(r"(?<=\.) (?=[A-Z0-9`])", text)[0]
     default = re.search(r"Default: .*", text)
     return first if default is None or default[0] in first else f"{first} {default[0]}"

@@ -1,8 +1,7 @@
 """``gonio-mi plan``: estimate how many rays a measurement needs.
 
-Estimate how many rays a measurement needs: by the bounds of Krishnaswamy and others
-(2004) on the absolute error of the flux, and for a relative error of all patches at
-once.
+Estimate how many rays a measurement needs: by the bounds of Krishnaswamy et al. (2004)
+on the absolute error of the flux, and for a relative error of all patches at once.
 
 examples:
   gonio-mi plan
@@ -10,8 +9,8 @@ examples:
   gonio-mi measure principled --theta-i 30 --rays 1e5 -o pilot.npz
   gonio-mi plan pilot.npz --level 0.99
 
-Without a pilot a white Lambertian specimen is assumed, which lights every patch. The
-numbers are for independent rays; the sampler sobol needs fewer.
+Without a pilot, a white Lambertian specimen is assumed, which illuminates every patch.
+The numbers are for independent rays; the sampler sobol needs fewer.
 """
 
 from argparse import ArgumentParser, Namespace

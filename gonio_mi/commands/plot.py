@@ -23,8 +23,10 @@ def add_options(parser: ArgumentParser) -> None:
     add_text(parser, "record", "RECORD", "An .exr or .npz file.")
     text = "A .png, .pdf or .svg file, or a .gif: an animation of a stack."
     parser.add_argument("-o", "--output", required=True, metavar="FIG", help=text)
-    add_stokes(parser, "Draw the polarisation of what leaves for light of this one.")
-    text = "Draw all elements of the Mueller matrices, of a polarised variant."
+    add_stokes(
+        parser, "Draw the polarisation of light scattered from this Stokes vector."
+    )
+    text = "Draw all elements of the Mueller matrices of a polarised record."
     parser.add_argument("--mueller", action="store_true", help=text)
     text = "Number of the incident direction of a stack, from 0. Default: all."
     add_number(parser, "--index", "J", text)
@@ -38,7 +40,7 @@ def run(options: Namespace) -> int:
     animated = Path(options.output).suffix.lower() in plots.ANIMATION_ENDINGS
     index, vector = options.index or 0, options.stokes
     if options.mueller and vector:
-        raise SettingError("--mueller and --stokes exclude each other, got both")
+        raise SettingError("--mueller and --stokes are mutually exclusive")
     if options.mueller:
         plots.plot_mueller(record, options.output, index=index)
     elif vector:

@@ -36,7 +36,7 @@ def add_options(parser: ArgumentParser) -> None:
     add_json(parser)
     text = "Show the totals of all incident directions."
     parser.add_argument("--all", action="store_true", help=text)
-    add_stokes(parser, "Show what becomes of light of this Stokes vector.")
+    add_stokes(parser, "Show how incident light of this Stokes vector is scattered.")
     add_table_options(parser.add_argument_group("Table"))
 
 
@@ -59,7 +59,7 @@ def run(options: Namespace) -> int:
     summary = summarize(record_of(path))
     if options.json and options.stokes:
         raise SettingError(
-            "--stokes and --json exclude each other: dhr_mueller says it of any light"
+            "--stokes and --json are mutually exclusive: dhr_mueller is of any light"
         )
     if options.json:
         tell_json(summary.as_mapping())

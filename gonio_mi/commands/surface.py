@@ -1,8 +1,8 @@
 """``gonio-mi surface``: print height, slope and micro-normal statistics.
 
-Of a height map: its units, heights, slopes and autocorrelation, and what would make a
-measurement doubtful. Of that and any other micro-geometry: the distribution of
-micro-normals, masking and shadowing with error bars, beside Beckmann's and GGX's.
+Print units, heights, slopes and autocorrelation of a height map, and warnings about its
+measurement; for any micro-geometry, the distribution of micro-normals, masking and
+shadowing with error bars, compared with those of Beckmann and GGX.
 
 examples:
   gonio-mi surface scan.x3p --form plane --fill nearest -o scan.png
@@ -54,7 +54,7 @@ def add_options(parser: ArgumentParser) -> None:
     group = parser.add_argument_group("Micro-normals")
     add_setting(group, "period")
     add_number(group, "--points", "N", "Random points of the surface.", 2**18)
-    text = "Rows, and columns, of blocks for the standard errors."
+    text = "Blocks along each axis for the standard errors."
     add_number(group, "--blocks", "N", text, 4)
     text = "Picture of the micro-normals, such as a.png."
     group.add_argument("-o", "--output", metavar="FIG", help=text)
@@ -62,7 +62,7 @@ def add_options(parser: ArgumentParser) -> None:
 
 
 def add_surface_options(parser: ArgumentParser) -> None:
-    """Add the options that say what a height map or a mesh is, in a group."""
+    """Add the options of height maps and meshes, in a group."""
     axes = ", ".join(NORMALS)
     about = "For a height map, or a mesh (--bsdf, --unit, --normal, --mean-plane)."
     group = parser.add_argument_group("Surface", about)
@@ -96,7 +96,7 @@ def _add_height_map(group: Group) -> None:
     text = f"Unit of all lengths, if the file does not state it ({units}). It scales "
     text += "nothing, but lengths can be compared with wavelengths."
     add_text(group, "--unit", "UNIT", text, choices=tuple(UNITS))
-    text = f"Form to remove: {', '.join(FORMS)}. Default: none."
+    text = f"Form to remove: {', '.join(FORMS)}. Default: keep, which removes none."
     add_text(group, "--form", "FORM", text, choices=tuple(FORMS))
     text = (
         f"Interpolation of points that were not measured: {', '.join(FILLS)} (planes "
@@ -106,7 +106,7 @@ def _add_height_map(group: Group) -> None:
 
 
 def prepared_surface(specimen: SpecimenLike, options: Namespace) -> Any:
-    """The specimen, or the shape of a height map or a mesh with what is given.
+    """The specimen, or the shape of a height map or a mesh with the given options.
 
     The surface of a height map is finite, unless a period joins its last row and column
     to the first. In one word, ``heightfield:alpha=0.2``, it is as the plugin has it.
@@ -190,6 +190,9 @@ def run(options: Namespace) -> int:
         source = read_height_map(Path(name), image_heights)
         found = topography(source, Preparation(periodic=specimen["periodic"], **given))
         joined = found.periodic
+        if found.width_guess:
+            tell(found.summary())
+            raise SettingError(found.concerns()[0])
         said.append(found.summary() + "\n")
         for concern in found.concerns():
             say(f"warning: {concern}")

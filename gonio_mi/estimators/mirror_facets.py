@@ -39,7 +39,7 @@ MAX_OFTEN, MAX_DISTANCE = 1.5, 4.0
 
 
 def has_mirror_facets(setup: Setup) -> bool:
-    """Whether a sum over facets is the mean of what the beam's lines would send.
+    """Whether the facet sum is exact for this beam.
 
     For one mesh of flat mirror facets that are heights over a periodic cell, all of it
     in a collimated beam; and if the first order is collected, with all others. Facets

@@ -46,7 +46,7 @@ def size_of(stream: BinaryIO) -> int:
 
 
 def seal_of(content: bytes | memoryview) -> bytes:
-    """What is put after the content of a file."""
+    """Trailer after the content of a file: its check sum."""
     return SEAL_MARK + hashlib.sha256(content).hexdigest().encode()
 
 
@@ -75,7 +75,7 @@ def check_seal(stream: BinaryIO) -> None:
 
 
 def check_record(record: Record) -> None:
-    """Raise FileFormatError unless the parts of a record can be what they are."""
+    """Raise FileFormatError unless the parts of a record are consistent."""
     for theta, phi in zip(record.theta_i.tolist(), record.phi_i.tolist()):
         below = math.isnan(theta) or -BELOW_NORMAL <= theta < 90  # NaN is not known
         require(below, f"its theta_i is {theta:g}, not in [0, 90) degrees")
@@ -101,7 +101,8 @@ def _check_tally(tally: Tally, record: Record) -> None:
         require(float(np.abs(getattr(tally, name)).sum(dtype=float)) < 2.0**64, reason)
     ledger = tally.ledger
     require(
-        bool(ledger.direct) or not tally.direct.any(), "it has direct light of no ray"
+        bool(ledger.direct) or not tally.direct.any(),
+        "it has direct light without a ray",
     )
     if not (asked.sends_points or asked.joins_points):
         left = (ledger.reflected, ledger.transmitted + ledger.direct)

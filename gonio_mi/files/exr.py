@@ -122,7 +122,7 @@ def read(stream: BinaryIO, added_up: bool = False) -> Record:
         If the file holds something else, or does not agree with its check sum.
     """
     magic = stream.read(len(MAGIC))
-    require(magic == MAGIC, "it is no OpenEXR file")
+    require(magic == MAGIC, "it is not an OpenEXR file")
     # damage makes the library print, drop parts, take any memory or crash
     check_seal(stream)
     stream.seek(0)
@@ -166,7 +166,7 @@ def _part_name(name: str, index: int, n: int) -> str:
 
 
 def _include(digest: Any, arrays: Mapping[str, Numbers]) -> None:
-    """Include what the pixels hold of a tally, exactly, in a check sum."""
+    """Add a tally's exact pixel values to a check sum."""
     for name in ("hits", "sums", "errors", "elements"):
         if name in arrays:
             digest.update(np.ascontiguousarray(bits(arrays[name]), dtype="<u8").data)

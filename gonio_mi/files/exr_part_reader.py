@@ -36,7 +36,7 @@ class Part:
 def parts_of(stream: BinaryIO) -> list[Part]:
     """Parts of an image of several."""
     _, version = struct.unpack("<4sI", _exactly(stream, BEGIN))
-    require(version & ~LONG_NAMES == SEVERAL_PARTS, "it is no image of several parts")
+    require(version & ~LONG_NAMES == SEVERAL_PARTS, "it is not a multi-part image")
     headers = []
     while found := _header(stream):
         headers.append(found)
@@ -67,7 +67,7 @@ def _header(stream: BinaryIO) -> tuple[bytes, dict[str, bytes]] | None:
 
 
 def _word(stream: BinaryIO) -> str:
-    """Text that ends in a zero."""
+    """Null-terminated string."""
     letters = bytearray()
     while (letter := _exactly(stream, 1)) != b"\0":
         letters += letter
@@ -75,7 +75,7 @@ def _word(stream: BinaryIO) -> str:
 
 
 def _exactly(stream: BinaryIO, n: int) -> bytes:
-    """So many bytes, of a file that has them."""
+    """Exactly n bytes; FileFormatError if the file has fewer."""
     content = stream.read(n) if n >= 0 else b""
     require(n >= 0 and len(content) == n, "a header of its parts is damaged")
     return content

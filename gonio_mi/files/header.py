@@ -58,7 +58,7 @@ def json_of(value: Any) -> str:
 
 
 def parsed_json(text: Any) -> Any:
-    """Return what :func:`json_of` wrote, or raise FileFormatError."""
+    """Parse the output of :func:`json_of`, or raise FileFormatError."""
     require(isinstance(text, str), "its description is not text")
     try:
         return json.loads(text)
@@ -171,7 +171,7 @@ def _tally(arrays: dict[str, Numbers], scale: int) -> Tally:
 def shapes_of_tally(
     n_batches: int, n_hemispheres: int | None, patches: tuple[int, int], n_channels: int
 ) -> dict[str, tuple[int | None, ...]]:
-    """Shapes of all arrays that a tally may have; None for what is not known."""
+    """Shapes of all possible arrays of a tally; None where unknown."""
     return {
         "hits": (n_hemispheres, *patches),
         "sums": (n_batches, n_hemispheres, *patches, n_channels),
@@ -223,7 +223,7 @@ def _angles(header: dict[str, Any], key: str, n: int) -> Floats:
 def _listed(
     header: dict[str, Any], key: str, kinds: type | tuple[type, ...]
 ) -> list[Any]:
-    """List of values of certain types; a truth value is no number."""
+    """List of values of certain types; a boolean does not count as a number."""
     values: Any = header.get(key)
     require(
         isinstance(values, list)

@@ -160,7 +160,7 @@ class MeasuredTable:
         return f"<pre>{html.escape(str(self))}</pre>"
 
     def __str__(self) -> str:
-        """Lines on what the table holds, and how it was understood."""
+        """Summary of the table's content and of how it was interpreted."""
         incident = self.incident
         listed = [f"({theta:.5g}, {phi:.5g})" for theta, phi in incident[:MAX_LISTED]]
         if len(incident) > MAX_LISTED:
@@ -205,7 +205,7 @@ class MeasuredTable:
 
     @property
     def patches(self) -> Subdivision | None:
-        """Patches that the values are means over, if the header's `collector` says it.
+        """Patches over which the values are means, if the header names a `collector`.
 
         As in tables that `gonio_mi.export` wrote; an aperture goes before it. None for
         a collector of apertures, too.
@@ -220,7 +220,7 @@ class MeasuredTable:
 
     @property
     def rays(self) -> dict[str, str]:
-        """What tells the rays of a record of which our own export made the table.
+        """Identifiers of the rays of the record from which the table was exported.
 
         As of `Record.ray_keys`; empty if the header has
         no `seed` beside a `collector`, as that of older files and of others' tables.
@@ -259,7 +259,7 @@ class MeasuredTable:
 
     @property
     def _factor(self) -> Floats | float:
-        """What the BRDF or BTDF in 1/sr is multiplied by in `value`."""
+        """Factor from BRDF or BTDF in 1/sr to `value`."""
         if self.quantity == "reflectance_factor":
             return np.pi
         if self.quantity != "brdf_cos":

@@ -101,7 +101,7 @@ def write(record: Record, stream: BinaryIO) -> None:
 
 
 def _write_joined(file: IO[bytes], parts: Sequence[Numbers]) -> None:
-    """Write what `numpy.concatenate` would make, which may need all of the memory."""
+    """Write concatenated arrays without `numpy.concatenate`'s copy in memory."""
     dtype, length = np.result_type(*parts), sum(len(part) for part in parts)
     header = {
         "descr": np.lib.format.dtype_to_descr(dtype),
@@ -194,7 +194,7 @@ def _with_copies(
     reason = "its copies are not of directions that it holds"
     require(len(own) == n_own and bool(np.isin(source, own).all()), reason)
     moved = (by >= 0) & (by < n_sectors) & (mirrored >= 0) & (mirrored < 2)
-    require(moved.all(), "its copies are moved in no way that there is")
+    require(moved.all(), "its copies have an unknown motion")
     held = {name: [header[name][number] for number in own] for name in of_each}
     record = rebuilt(header | held, content, n_own, added_up)
     place = np.searchsorted(own, source).tolist()

@@ -83,7 +83,7 @@ def read(stream: BinaryIO) -> dict[str, Numbers]:
         If the file is something else, is truncated, or announces more than it holds.
     """
     size = size_of(stream)
-    require(_bytes(stream, len(MAGIC)) == MAGIC, "it is no tensor file of Mitsuba")
+    require(_bytes(stream, len(MAGIC)) == MAGIC, "it is not a tensor file of Mitsuba")
     version = tuple(_bytes(stream, 2))
     require(version[0] == 1, f"it has the unknown version {version[0]}.{version[1]}")
     (n,) = _numbers(stream, "<I")
@@ -177,4 +177,4 @@ def _check_values(fields: dict[str, NDArray[np.generic]]) -> None:
         if name in DENSITIES:
             total = field.sum(axis=(2, 3), dtype=float)
             good = (field >= 0).all() and (total > 0).all() and np.isfinite(total).all()
-            require(bool(good), f"its field {name} is no density to draw from")
+            require(bool(good), f"its field {name} is not a sampling density")

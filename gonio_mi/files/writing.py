@@ -75,7 +75,7 @@ def checked_ending(path: str | os.PathLike[str], endings: Sequence[str]) -> str:
 
 @contextlib.contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
-    """Context of a binary stream whose content becomes the file `path` on success.
+    """Context of a binary stream; on success its content replaces the file `path`.
 
     It is written to a temporary name in the same folder, which takes the place of the
     file, with its permissions, when all of it is on the disk; the temporary file is
@@ -102,7 +102,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
 
 
 def _replaced(target: Path) -> Iterator[BinaryIO]:
-    """The one stream whose content takes the place of a regular file."""
+    """Stream whose content replaces a regular file."""
     remove_forgotten(target.parent)
     partial = _partial(target)
     try:
@@ -135,7 +135,7 @@ def takes_a_stream(path: str | os.PathLike[str]) -> bool:
 
 
 def _is_locked(stream: BinaryIO) -> bool:
-    """Lock a temporary file until it is closed; whether somebody else has it locked."""
+    """Try to lock a temporary file; return whether another process holds the lock."""
     if fcntl is None:
         return True
     try:

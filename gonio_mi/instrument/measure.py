@@ -249,7 +249,7 @@ def _check_together(
     incidents: Sequence[tuple[float, float] | None],
     emitter: object,
 ) -> None:
-    """Raise ValueError for settings that exclude each other, or have nothing to say."""
+    """Raise ValueError for settings that are mutually exclusive or do not apply."""
     if "wavelengths" in given and not mi.is_spectral:
         raise VariantError(
             "wavelengths need a spectral variant, such as llvm_ad_spectral, "
@@ -259,8 +259,8 @@ def _check_together(
     if patches is not None and (emitter is not None or asked.divergence):
         other = "divergence" if asked.divergence else "emitter"
         raise SettingError(
-            f"incident excludes {other}, for it sets the directions of the beam, "
-            f"got incident {patches!s:.40}"
+            f"incident and {other} are mutually exclusive, for both set the directions "
+            f"of the beam, got incident {patches!s:.40}"
         )
     if None in incidents and emitter is None and asked.side != "front":
         raise SettingError(
@@ -288,7 +288,7 @@ def _settled(
     for goal, also in (("noise", {"rel_err": given.get("rel_err")}), ("rel_err", {})):
         for name, other in (others | also).items():
             if goal in given and other is not None:
-                raise SettingError(f"{goal} and {name} exclude each other, got both")
+                raise SettingError(f"{goal} and {name} are mutually exclusive")
     if given.keys() & {"rays", "noise"}:  # instead of what the scene asks for
         settings = replace(settings, rel_err=None)
     return settings

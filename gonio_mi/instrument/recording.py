@@ -189,8 +189,8 @@ def _warn_of_created_light(stack: Record) -> None:
         if np.any(low > 1 + PATH_ROUNDING):
             theta_i, phi_i = record.theta_i[0], record.phi_i[0]
             warn(
-                f"the BSDF creates light: {np.max(total[i]):.6g} of what came leaves "
-                f"for incidence at theta_i {theta_i:g}, phi_i {phi_i:g}"
+                f"the BSDF is not energy conserving: {np.max(total[i]):.6g} times the "
+                f"incident flux leaves at theta_i {theta_i:g}, phi_i {phi_i:g}"
             )
             return
 

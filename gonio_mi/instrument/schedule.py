@@ -172,7 +172,7 @@ class Target:
         """Setting that it comes from."""
         return "noise" if self.of_noise else "rel_err"
 
-    def found(self, record: Record) -> float:
+    def precision_of(self, record: Record) -> float:
         """How precise a record of one incident direction is."""
         return (
             expected_noise(record)
@@ -182,7 +182,7 @@ class Target:
 
     def next_goal(self, record: Record, sent: int) -> int:
         """Rays in all that the record predicts; `sent` if it is good enough."""
-        worst = self.found(record)
+        worst = self.precision_of(record)
         if worst <= self.goal:
             return sent
         # what is not known yet asks for as many rays again

@@ -105,9 +105,7 @@ class MeasuredDirections:
     ) -> None:
         for other in ("rays", "rel_err", "noise"):
             if settings.get(other) is not None:
-                raise SettingError(
-                    f"tolerance and {other} exclude each other, got both"
-                )
+                raise SettingError(f"tolerance and {other} are mutually exclusive")
         self.name, self.specimen, self.tolerance = name, specimen, tolerance
         self.where, self.settings = where, settings
         self.estimators = [Estimator.QUADRATURE, Estimator.SPLIT, ANY_SPECIMEN]

@@ -169,7 +169,7 @@ class IncidentRings:
 
     @property
     def first_azimuths(self) -> list[float]:
-        """Azimuths to begin with, in degrees."""
+        """Initial azimuths in degrees."""
         return [self.azimuth(sector) for sector in self._own(self._first_sectors())]
 
     def ring(self, theta: float) -> list[tuple[float, float]]:
@@ -244,9 +244,9 @@ class IncidentRings:
         return middle
 
     def _first_sectors(self) -> list[float]:
-        """Azimuths to begin with, in sectors, and the end of what they are part of.
+        """Initial azimuths in sectors, and the upper end of their range.
 
-        Of an isotropic specimen one, and no end.
+        Of an isotropic specimen one azimuth, and no end.
         """
         if self.isotropic:
             return [0.0]

@@ -51,7 +51,7 @@ def draw_map(axes: Axes, single: Record, of: str) -> None:
 
 
 def add_legend(place: Any, maps: Iterable[Axes], **where: Any) -> None:
-    """Say in one row at a `place` (axes or figure) what the marks of maps mean."""
+    """Add a one-row legend of the maps' marks to `place` (axes or figure)."""
     marks: dict[str, Any] = {}
     for axes in maps:
         handles, labels = axes.get_legend_handles_labels()
@@ -172,7 +172,7 @@ def bar_label(single: Record, of: str) -> str:
 def colour_bar(
     figure: Any, mesh: Collection, beside: Any, label: str, **place: Any
 ) -> None:
-    """Draw a colour bar `beside` axes, or where it is said by matplotlib's words."""
+    """Draw a colour bar `beside` axes, or where matplotlib's keywords put it."""
     bar = figure.colorbar(mesh, ax=beside, **place)
     bar.set_label(label)
     bar.outline.set_linewidth(0.5)

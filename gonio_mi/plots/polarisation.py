@@ -102,7 +102,7 @@ def plot_stokes(
     stokes: Sequence[float] = (1.0, 0.0, 0.0, 0.0),
     index: int = 0,
 ) -> Figure:
-    """Draw the polarisation of what leaves for light of one polarisation.
+    """Draw the polarisation of scattered light for one incident Stokes vector.
 
     Maps of the power, of the degree of polarisation, of the angle of its linear part
     and of the circular part V / I, both up to the largest value. The angle counts from
@@ -248,7 +248,7 @@ def _draw(
 
 
 def _finish(axes: Any, single: Record) -> None:
-    """Draw what both profiles have."""
+    """Draw the parts common to both profiles."""
     axes.plot([], [], marker="|", ms=9, c=GREY, ls="none", label=bars_text(single))
     set_angles(axes)
     axes.set_ylim(0, None)

@@ -68,7 +68,7 @@ class Profile:
 
 
 def bars_text(record: Record) -> str:
-    """What the limits of a profile are."""
+    """Name of the error bars of a profile."""
     if without_chance(record.tallies):
         return "largest error, estimated"
     return f"{100 * LEVEL:g} % interval"
@@ -228,7 +228,7 @@ def draw_curve(
 
 
 def _draw_limits(axes: "Axes", limits: list[tuple[float, float, Any]]) -> None:
-    """Draw upper limits, those that several curves share in grey: none hides another.
+    """Draw upper limits; those shared by several curves are grey.
 
     Channels and directions without a hit have the same limit after as many rays.
     """
@@ -246,7 +246,7 @@ def _draw_limits(axes: "Axes", limits: list[tuple[float, float, Any]]) -> None:
 
 
 def set_angles(axes: "Axes") -> None:
-    """Set the axis of theta_o, and what all profiles look like."""
+    """Set the axis of theta_o, and the style common to all profiles."""
     axes.set_xlim(-90, 90)
     axes.set_xticks(range(-90, 91, 30), [f"{theta}°" for theta in range(-90, 91, 30)])
     axes.grid(alpha=0.3, lw=0.5)
@@ -287,7 +287,7 @@ def _scale(axes: "Axes", positive: Floats, limits: Floats) -> None:
 def _add_legend(
     axes: "Axes", single: Record, cuts: Sequence[Profile], shown: Sequence[str]
 ) -> None:
-    """Explain curves and marks, beside the axes."""
+    """Add a legend of curves and marks next to the axes."""
     grey = {"c": GREY, "ls": "none"}
     if len(shown) > 1:
         axes.plot([], [], marker="o", ms=3, label="reflection", **grey)
@@ -326,7 +326,7 @@ def colours_of(channels: Sequence[str]) -> list[Any]:
 
 
 def sectors_beside(single: Record) -> list[tuple[float, float]]:
-    """Sectors in which the profile runs, in degrees, if its plane is their border.
+    """Sectors, in degrees, that the profile takes where its plane is a border.
 
     First that towards the source, then that beyond. Empty if a half-plane lies within
     a sector, or patches have none.

@@ -53,7 +53,7 @@ def figure(drawn: Any) -> str:
 
 
 def picture_and_text(draw: Callable[[], Any], text: object, heading: str = "") -> str:
-    """What a notebook shows: the figure that `draw` returns, and numbers.
+    """Notebook output: the figure that `draw` returns, and numbers.
 
     Numbers alone without Matplotlib. They are folded under the `heading`, if there is
     one.
@@ -87,7 +87,7 @@ def table(rows: Iterable[Iterable[str]]) -> str:
 
 
 def coded(text: str) -> str:
-    """Escaped text, with what stands between backquotes as code."""
+    """Escaped text, with backquoted parts as code."""
     pieces = html.escape(text).split("`")
     return "".join(
         f"<code>{piece}</code>" if i % 2 else piece for i, piece in enumerate(pieces)

@@ -108,6 +108,13 @@
                             font: { size: 10, color: "#fff" }, bgcolor: "#0008" });
   const RINGS = [0.5, Math.sqrt(0.75)]; // sines of 30 and 60 degrees
 
+  // An azimuth of exit at the horizon; 0 is along +x.
+  const azimuthLabel = (phi) => ({ text: `${phi ? "" : "\u03c6 "}${phi}\u00b0`, showarrow: false, borderpad: 0,
+                                   x: 1.03 * Math.cos(radians(phi)), y: 1.03 * Math.sin(radians(phi)),
+                                   xanchor: { 0: "left", 180: "right" }[phi] ?? "center",
+                                   yanchor: { 90: "bottom", 270: "top" }[phi] ?? "middle", font: { size: 10 } });
+  const AZIMUTHS = [0, 90, 180, 270];
+
   function towards(theta, phi) {
     const [t, p] = [theta, phi].map(radians);
     return [Math.sin(t) * Math.cos(p), Math.sin(t) * Math.sin(p), Math.cos(t)];
@@ -155,12 +162,12 @@
     const plot = by(key).querySelector(".plot"), output = by(key).querySelector("output");
     const values = known.map(shown), width = Math.min(plot.clientWidth, MOST);
     const z = pixels(from.one).map((row) => row.map((patch) => values[patch] ?? null));
-    const plain = () => ({ visible: false, range: [-1.08, 1.08] });
+    const plain = () => ({ visible: false, range: [-1.22, 1.22] });
     const map = { type: "heatmap", x: axis, y: axis, z, hoverinfo: "none", zsmooth: false,
                   colorscale: "Viridis", ...picture, colorbar: { thickness: 14, ...picture.colorbar } };
     await Plotly.react(plot, [map, ...marks(from.direction, hemisphere)], {
       width, height: width - BAR + 40, margin: { l: 5, r: BAR, t: 32, b: 5, autoexpand: false },
-      shapes: [...RINGS, 1].map(circle), annotations: RINGS.map(degrees), plot_bgcolor: "#fff", hovermode: "closest",
+      shapes: [...RINGS, 1].map(circle), annotations: [...RINGS.map(degrees), ...AZIMUTHS.map(azimuthLabel)], plot_bgcolor: "#fff", hovermode: "closest",
       xaxis: plain(), yaxis: { ...plain(), scaleanchor: "x" } }, { displaylogo: false });
     const tell = (patch) => { output.textContent = told(known[patch], patch, apart); };
     if (key in pointed) tell(pointed[key]); // in its new state

@@ -158,7 +158,7 @@ def notebook_view(record: Record) -> str:
 
 
 def names_apart(records: Sequence[Record]) -> list[str]:
-    """Short names of records that stand beside each other.
+    """Short, distinct names of records that are compared.
 
     The specimens, with the settings in which records of the same name differ; alike
     only if all of these are.
@@ -180,7 +180,7 @@ def names_apart(records: Sequence[Record]) -> list[str]:
 def packed_record(
     record: Record, label: str = "", report: Callable[[float], Any] | None = None
 ) -> dict[str, Any]:
-    """Return what the page shows of a record, in JSON's types.
+    """Data of a record for the page, in JSON's types.
 
     Arrays are little-endian, deflated and in base 64. ``raster`` is the patch of
     each direction, ``(polar angle, azimuth)`` at the middles of equal steps;

@@ -223,7 +223,7 @@ def sources(record: Record) -> list[tuple[int, Motion]]:
 
 
 def sharing(record: Record) -> list[int]:
-    """Of each incident direction how many may have one noise, itself included."""
+    """Number of directions that share each record's noise, itself included."""
     symmetry = symmetry_of(record)
     if symmetry is None:
         return [1] * len(record)

@@ -285,9 +285,9 @@ def check_alike(a: Settings, b: Settings, free: Collection[str], purpose: str) -
         if a.get(key) != b.get(key):
             if key in DIGESTS:
                 raise SettingError(
-                    f"records must agree in {DIGESTS[key]} to be {purpose}, but it was "
-                    f"edited between them, or is another: {key} {shown(a.get(key))} "
-                    f"and {shown(b.get(key))}"
+                    f"records must agree in {DIGESTS[key]} to be {purpose}, but theirs "
+                    f"differ (edited, or another one): {key} {shown(a.get(key))} and "
+                    f"{shown(b.get(key))}"
                 )
             raise SettingError(
                 f"records must agree in {key} to be {purpose}, got "

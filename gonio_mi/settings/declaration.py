@@ -35,7 +35,7 @@ class Kind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Declaration:
-    """One setting: all that anything else needs to know of it.
+    """Declaration of one setting: default, check, unit, sentence.
 
     Attributes
     ----------

@@ -64,7 +64,7 @@ def _sampler(label: str, value: object) -> Any:  # noqa: ARG001
 
 
 class Estimator(str, Enum):
-    """How what a ray or an event tells becomes a sum over patches."""
+    """How rays and events are summed over patches."""
 
     WEIGHTED = "weighted"
     ANALOG = "analog"
@@ -105,8 +105,8 @@ class MeasurementSettings:
         10**6,
         count(1, MAX_RAYS),
         Kind.COUNT,
-        "Rays for each incident direction. In spectral variants so many for every four "
-        "wavelengths; up to 1e15.",
+        "Rays for each incident direction. In spectral variants, as many for every "
+        "four wavelengths. At most 1e15.",
         group=METHOD,
         shown_default="1e6",
     )
@@ -116,9 +116,8 @@ class MeasurementSettings:
         Kind.NUMBER,
         "Instead of `rays`: continue until the relative standard error of every patch "
         "whose BRDF is at least 10 % of the mean is at most this, for each incident "
-        "direction. For ``quadrature`` the error to which every patch converges, "
-        "relative to itself, or to this part of the mean patch (at least a millionth), "
-        "whichever is more.",
+        "direction. For ``quadrature``, the tolerance of each patch, relative to its "
+        "value or, if larger, to this fraction (at least 1e-6) of the mean patch.",
         group=METHOD,
         metavar="X",
         shown_default="none; 1e-4 for quadrature",
@@ -156,7 +155,7 @@ class MeasurementSettings:
         count(1, MAX_BATCHES),
         Kind.COUNT,
         "Number of independent batches, whose scatter gives the standard errors. With "
-        "``sobol`` every doubling costs a fifth of the precision of the same rays.",
+        "``sobol``, each doubling lowers the precision of the same rays by a fifth.",
         group=METHOD,
     )
 
@@ -168,19 +167,19 @@ class MeasurementSettings:
         Kind.WORD,
         "``weighted`` sums throughput, ``analog`` counts rays that survive, "
         "``quadrature`` integrates ``eval``, ``next_event`` deposits it. With "
-        "``analog`` a ray survives or ends at each event (the paper's equation 5). "
-        "``quadrature`` is for a flat specimen that is the same everywhere in a "
-        "collimated beam, and samples delta components only. ``next_event`` deposits "
-        "``eval`` at every event on geometry towards points in random patches that are "
-        "in sight, and counts the rays as well, by the balance heuristic: for narrow "
-        "apertures and for patches far from the lobes, not for totals. Of mirror "
-        "facets in a periodic cell, which a collimated beam fills, it sums the first "
-        "order up over the facets, and rays tell the rest. ``split`` integrates "
-        "``eval`` over periodic, opaque geometry for light of one event, jointly for "
-        "all incident directions, and sums throughput for that of more, of rays that "
-        f"branch in {BRANCHES} directions where they meet a surface again: for stacks "
-        "of maps of rough facets. ``auto`` takes the cheapest but ``analog`` and "
-        "``split``; the record names it, and why.",
+        "``analog``, a ray survives or ends at each event (equation 5 of the paper). "
+        "``quadrature`` applies to a flat, homogeneous specimen in a collimated beam, "
+        "and samples delta components only. ``next_event`` deposits ``eval`` at every "
+        "event on geometry towards visible points in random patches and counts the "
+        "rays as well, weighted by the balance heuristic: for narrow apertures and for "
+        "patches far from the lobes, not for totals. For mirror facets in a periodic "
+        "cell that a collimated beam fills, it sums the first order over the facets "
+        "and traces rays for the others. ``split`` integrates ``eval`` over periodic, "
+        "opaque geometry for single scattering, jointly for all incident directions, "
+        "and sums throughput for multiple scattering, with rays that branch in "
+        f"{BRANCHES} directions where they meet a surface again: for stacks of maps of "
+        "rough facets. ``auto`` takes the cheapest of all but ``analog`` and "
+        "``split``; the record states which, and why.",
         group=METHOD,
         metavar="E",
         form='{"weighted", "analog", "quadrature", "next_event", "split", "auto"}',
@@ -191,8 +190,8 @@ class MeasurementSettings:
         count(1, MAX_POINTS),
         Kind.COUNT,
         "Points per event for the estimator ``next_event``, spread over all patches; "
-        "each costs a fraction of a ray. For maps of diffuse facets "
-        "take as many as there are patches, and few rays.",
+        "each costs a fraction of a ray. For maps of diffuse facets, use as many as "
+        "there are patches, and few rays.",
         group=METHOD,
     )
     sampler: Any = setting(
@@ -200,7 +199,7 @@ class MeasurementSettings:
         _sampler,
         Kind.WORD,
         "Mitsuba sampler, such as ``sobol`` (one scrambled low-discrepancy sequence "
-        "per batch) or ``independent``. By name, or as a dictionary.",
+        "per batch) or ``independent``. A name or a dictionary.",
         group=METHOD,
         metavar="S",
         form="str or dict",
@@ -225,7 +224,7 @@ class MeasurementSettings:
         choice("front", "back"),
         Kind.WORD,
         "Side of the specimen that faces the emitter: ``front`` (+z) or ``back`` (-z). "
-        "Reflection is always its side.",
+        "Reflection is always to that side.",
         group=LIGHT,
         metavar="front|back",
         form='{"front", "back"}',
@@ -245,8 +244,8 @@ class MeasurementSettings:
         0.0,
         number(0, 90, "an angle in [0, 90) degrees"),
         Kind.NUMBER,
-        "Half angle in degrees of the cone of directions of a collimated beam, which "
-        "is filled uniformly in solid angle.",
+        "Half angle in degrees of the cone of directions that a collimated beam fills, "
+        "uniformly in solid angle.",
         group=LIGHT,
         metavar="DEG",
     )
@@ -279,8 +278,8 @@ class MeasurementSettings:
         (550.0,),
         checked_wavelengths,
         Kind.NUMBERS,
-        "Wavelengths in nm, which are the channels in spectral variants. The data of "
-        "specimen and emitter must cover them.",
+        "Wavelengths in nm: the channels of spectral variants. The data of specimen "
+        "and emitter must cover them.",
         group=LIGHT,
         metavar="NM",
         text=joined,
@@ -467,7 +466,7 @@ class MeasurementSettings:
         return self.points if self.sends_points else 1
 
     def changed(self, **given: Any) -> MeasurementSettings:
-        """These settings with those that are `given`; None leaves one as it is.
+        """Copy of these settings with the `given` ones changed; None keeps a value.
 
         Raises
         ------

@@ -79,7 +79,7 @@ def choice(*choices: str) -> Any:
 
 
 def joined(value: Any) -> Any:
-    """Numbers as one text with commas; a word or number as it is."""
+    """Comma-separated numbers; a word or number unchanged."""
     return value if np.ndim(value) == 0 else ",".join(map(repr, map(float, value)))
 
 

@@ -242,8 +242,10 @@ def loaded(what: str, load: Callable[..., Any], *args: Any, **kwargs: Any) -> An
 
 def _with_advice(text: str) -> str:
     """Mitsuba's message with what would mend it, where that is known."""
+    if advice := _without_base(text):
+        return advice
     if missing := re.search(r'Plugin "([^"]+)" not found', text):
-        own = "; one of your own is imported before, or named by --plugin FILE"
+        own = "; import your own plugins first, or name their file with --plugin"
         if missing[1] in CALLED:
             return f"{text.rstrip('!')}; did you mean {CALLED[missing[1]]}?"
         return text.rstrip("!") + (did_you_mean(missing[1], _plugin_files()) or own)
@@ -263,6 +265,35 @@ def _with_advice(text: str) -> str:
             f"{', '.join(names)}{next(filter(None, similar), '')}"
         )
     return text
+
+
+def _without_base(text: str) -> str:
+    """Message on a plugin whose class did not initialise its base; empty for others.
+
+    Mitsuba finds no object in it, or no place for what its constructor sets.
+    """
+    failed = re.search(r'unknown plugin of type "([^"]+)": (.*)', text)
+    if failed is None:
+        return ""
+    if failed[2] == "std::bad_cast":
+        return (
+            f"the class of {failed[1]} must derive from mi.BSDF, or from the base of "
+            "its kind, and call mi.BSDF.__init__(self, props) first"
+        )
+    given = re.search(r"Invoked with types: (?:\w+\.)*(\w+), ", failed[2])
+    classes = [x for x in _subclasses(mi.Object) if given and x.__name__ == given[1]]
+    for one in classes[-1:]:  # the last, where a notebook has defined it again
+        code = getattr(vars(one).get("__init__"), "__code__", None)
+        if code and "__init__" not in code.co_names:
+            base = f"mi.{one.__mro__[1].__name__}.__init__(self, props)"
+            return f"{one.__name__}.__init__ must call {base} first"
+    return ""
+
+
+def _subclasses(base: Any) -> Iterator[Any]:
+    """Classes that derive from one, directly or not."""
+    for one in base.__subclasses__():
+        yield from (one, *_subclasses(one))
 
 
 def _no_metal(word: str) -> str:

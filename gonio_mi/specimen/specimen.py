@@ -136,7 +136,10 @@ class Specimen:
         everything = scene.shapes()
         shapes = [shape for shape in everything if not shape.is_emitter()]
         if not shapes:
-            raise SpecimenError("the scene must contain a shape to measure, got none")
+            raise SpecimenError(
+                "the scene must contain a shape to measure, got none: a BSDF alone "
+                "must be the root of its file, <bsdf ...> in place of <scene ...>"
+            )
         self.groups = groups_of(scene)
         self.surfaces = surfaces_of(shapes, self.groups)
         for shape in self.surfaces:

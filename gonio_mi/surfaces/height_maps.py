@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -46,7 +47,7 @@ PATIENCE = 300
 
 @dataclass(frozen=True, eq=False)
 class HeightMap:
-    """Heights on a regular grid, and what their file says of them.
+    """Heights on a regular grid, and the metadata of their file.
 
     Attributes
     ----------
@@ -73,7 +74,7 @@ class HeightMap:
 
 
 def is_height_map(path: str | os.PathLike[str]) -> bool:
-    """Whether a file's name says that it holds heights."""
+    """Whether a file is a height map by its name."""
     return os.fspath(path).lower().endswith(ENDINGS)
 
 
@@ -116,9 +117,10 @@ def read_height_map(
 
 def unreadable(path: Path, error: Exception) -> SpecimenError:
     """Error for a file that holds no heights, with the reason of whoever read it."""
+    said = re.sub(r"\[\w+\.(cpp|h):\d+\] ", "", " ".join(str(error).split()))
     return SpecimenError(
-        f"heightfield.filename must be an image, a .npy file or a file of a "
-        f"profilometer, got {path}: {error}"
+        "heightfield.filename must be an image, a .npy file or a file of a "
+        f"profilometer, got {path}, which is damaged or something else: {said}"
     )
 
 
@@ -157,7 +159,7 @@ def read_apart(path: str, formats: Sequence[str]) -> tuple[dict[str, Any], Float
         except subprocess.TimeoutExpired:
             raise ValueError(f"that took more than {PATIENCE} seconds") from None
         except (ValueError, IndexError):
-            raise ValueError("its reader broke down, it is probably damaged") from None
+            raise ValueError("its reader crashed: it is probably damaged") from None
         if "error" in facts:
             raise ValueError(facts["error"])
         return facts, np.load(out)

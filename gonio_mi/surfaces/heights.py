@@ -30,7 +30,7 @@ SYNTHESIS_BYTES, MESH_BYTES = 64, 260
 
 @dataclass(frozen=True)
 class HeightStatistics:
-    """What a height field is like, in the units of its heights.
+    """Statistics of a height field, in the units of its heights.
 
     Attributes
     ----------
@@ -220,7 +220,7 @@ def _correlation_length(heights: Floats, periodic: bool) -> float:
 
 
 def checked_heights(heights: ArrayLike, missing: bool = False) -> Floats:
-    """Return `heights` as a float64 array, or say what is wrong with it.
+    """Return `heights` as a float64 array, or raise SettingError.
 
     With `missing`, NaN is allowed, for what was not measured.
     """
@@ -315,7 +315,7 @@ def _nearest(missing: Flags) -> Integers:
 
 
 def _linear(heights: Floats, missing: Flags) -> Floats:
-    """Values at the missing points between those around them; NaN beyond these."""
+    """Linear interpolation at the missing points; NaN outside the convex hull."""
     from scipy import interpolate, ndimage, spatial
 
     # of the measured points, those at an edge of a gap are all that counts

@@ -60,8 +60,8 @@ def read_stl(path: str | PathLike[str]) -> Floats:
 def _text(data: bytes) -> Floats:
     require(
         data.lstrip()[:5] == b"solid" and b"\0" not in data,
-        "it is no STL file: neither text that begins with solid, nor as long as its "
-        "number of triangles says",
+        "it is not an STL file: neither text that begins with solid, nor as long as "
+        "its number of triangles says",
     )
     words = [word for vertex in VERTEX.findall(data) for word in vertex]
     numbers = [decimal(word.decode("ascii", "replace")) for word in words]

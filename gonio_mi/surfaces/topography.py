@@ -27,7 +27,7 @@ UNITS |= {"nm": 1e-9, "Å": 1e-10, "pm": 1e-12, "in": 0.0254}
 
 
 def metres(unit: str) -> float:
-    """Metres of one unit; ValueError for what is none."""
+    """Metres of one unit; ValueError for an unknown one."""
     if unit not in UNITS:
         raise SettingError(f"unit must be one of {', '.join(UNITS)}, got {shown(unit)}")
     return UNITS[unit]
@@ -39,6 +39,10 @@ VISIBLE = 550e-9
 # Beckmann's alpha beyond which units are more likely wrong than facets steep: an rms
 # slope of 70 degrees. Grooves and fibres have less.
 MAX_ALPHA = 4.0
+
+# Alpha below which units are more likely wrong than facets flat: the best mirrors have
+# as much, 20 nm over some millimetres; with nm taken for mm it is a millionth.
+MIN_ALPHA = 1e-5
 
 # Change of alpha over one wavelength, as a part of it, up to which facets smaller than
 # that are no matter: the same surface in facets of its size would have the same slopes.
@@ -126,22 +130,27 @@ class Topography:
         return "\n".join(f"{name:<10}{text}" for name, text in lines)
 
     def concerns(self) -> list[str]:
-        """Sentences on what makes a measurement of it doubtful."""
+        """Reasons to doubt a measurement of the surface, as sentences."""
         s = self.statistics
         found = []
-        if self._width:
+        if self.width_guess:
             found.append(
-                f"the width of {self.source} is not known, and {self._width} was "
+                f"the width of {self.source} is not known, and {self.width_guess} was "
                 f"taken, which makes its rms slopes {_rms_slopes(s)} degrees: give "
                 "size (--size), in the unit of the heights"
             )
         steepest = max(s.alpha_u, s.alpha_v)
-        if steepest > MAX_ALPHA:
+        if steepest > MAX_ALPHA or 0 < steepest < MIN_ALPHA:
             degrees = math.degrees(math.atan(steepest / math.sqrt(2)))
+            word = "steep" if steepest > MAX_ALPHA else "flat"
+            extent, rms = "{:.4g} x {:.4g}".format(*self.extent), f"{s.rms_height:.3g}"
+            unit = "" if self.unit is None else f" {self.unit}"
             found.append(
-                f"the facets of {self.source} are absurdly steep, alpha "
+                f"the facets of {self.source} are absurdly {word}, alpha "
                 f"{s.alpha_u:.3g} x {s.alpha_v:.3g}, an rms slope of {degrees:.4g} "
-                "degrees: heights and size must be in one unit; see scale, range, size"
+                f"degrees, for an extent of {extent}{unit} and an rms height of "
+                f"{rms}{unit}: both must be in one unit; give the extent by size "
+                "(--size), the heights by scale (--scale) or range (--range)"
             )
         if steps := self._slope_steps():
             unit = "" if self.unit is None else f" {self.unit}"
@@ -161,18 +170,20 @@ class Topography:
         steps = self._slope_steps()
         unit = "" if self.unit is None else f" in {self.unit}"
         coarse = "" if steps is None else f"; slopes in steps of {steps[1]}"
-        width = f"; width not given, {self._width} taken" if self._width else ""
+        width = (
+            f"; width not given, {self.width_guess} taken" if self.width_guess else ""
+        )
         return f"{self.statistics}{unit}{width}{coarse}"
 
     @property
-    def _width(self) -> str:
+    def width_guess(self) -> str:
         """The width that was taken; empty if it is known, or no matter in a plane."""
         if not self.width_taken or not self.statistics.rms_height:
             return ""
         return f"{self.extent[0]:.4g}{'' if self.unit is None else f' {self.unit}'}"
 
     def _slope_steps(self) -> tuple[float, str] | None:
-        """Steps of slopes, and what part of the rms slope they are; None if fine."""
+        """Slope of a height step, and its share of the rms slope; None if small."""
         s = self.statistics
         rms = max(s.alpha_u, s.alpha_v) / 2**0.5
         slope = 0.0 if self.step is None else self.step / min(self.spacing)
@@ -181,7 +192,7 @@ class Topography:
         return slope, f"{100 * slope / rms:.3g} % of the rms slope"
 
     def _waves(self, s: HeightStatistics, wavelength: float) -> list[str]:
-        """What geometric optics leaves out at a wavelength in scene units."""
+        """Wave effects beyond geometric optics at a wavelength in scene units."""
         found = []
         shown = f"{wavelength:.3g} {self.unit}"
         least = min(self.spacing)
@@ -236,7 +247,7 @@ def _rms_slopes(statistics: HeightStatistics) -> str:
 
 @dataclass(frozen=True)
 class Preparation:
-    """What a map of heights needs to be a surface.
+    """Settings that turn a map of heights into a surface.
 
     Attributes
     ----------
@@ -273,7 +284,7 @@ class Preparation:
         if given.codes is None:
             if height_range is not None:
                 raise SettingError(
-                    "range (--range) goes with images of whole numbers; for the "
+                    "range (--range) applies to images of integers; for the "
                     f"heights of {given.source} take scale (--scale)"
                 )
             return 1.0 if scale is None else scale
@@ -302,13 +313,13 @@ class Preparation:
         return dx, dy
 
     def unit_of(self, given: HeightMap) -> str | None:
-        """The unit of length of a map: what its file says, or what its user does."""
+        """The unit of length of a map, from its file or from the user."""
         if self.unit is None:
             return given.unit
         metres(self.unit)
         if given.unit is not None:
             raise SettingError(
-                "unit (--unit) goes with files that do not state theirs; "
+                "unit (--unit) applies to files that do not state theirs; "
                 f"{given.source} is in {given.unit}, got {self.unit}"
             )
         return self.unit

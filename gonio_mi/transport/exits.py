@@ -107,7 +107,7 @@ def of_order(exits: Exits, order: Order) -> Exits:
 
 
 class OrderClasses:
-    """Classes of rays by their numbers of events, of which any of some orders are made.
+    """Ray classes, by number of events, from which the orders are summed.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ MAX_MINOR = 0.2
 
 
 class Diagnosis(Mistake):
-    """What is wrong by all that fails together."""
+    """Mistakes diagnosed from all failures together."""
 
     ANY = "`sample` or `eval` is wrong"
     NOT_DIVIDED_BY_CHANCE = """{who} weight lacks division by the probability with which

@@ -57,7 +57,7 @@ MAX_RATIO = 1e20
 
 
 class Fault(Mistake):
-    """What a function does instead of an answer."""
+    """How a function fails to answer."""
 
     NO_ANSWER = "`{name}` {what}"
 

@@ -220,8 +220,8 @@ def _bsdf(
             )
         if len(shapes) != 1:
             raise SpecimenError(
-                "a scene to validate must have one shape, whose BSDF is meant, "
-                f"got {len(shapes)}"
+                f"a scene to validate must have one shape, got {len(shapes)}: a BSDF "
+                "alone must be the root of its file, <bsdf ...> in place of <scene ...>"
             )
         specimen = shapes[0].bsdf()
     return specimen, name or specimen.class_name(), source, tints

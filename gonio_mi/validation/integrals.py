@@ -78,7 +78,7 @@ class PatchIntegrals:
 
 @dataclass(frozen=True)
 class Expected:
-    """What is due in each patch, in the order of :func:`_finite_values`.
+    """Expected values of each patch, in the order of :func:`_finite_values`.
 
     Attributes
     ----------

@@ -160,7 +160,7 @@ class FourMaps:
         return self.due.counts.sum_bound + rounding
 
     @property
-    def count_varies(self) -> bool:
+    def is_count_random(self) -> bool:
         """Whether chance moves the number of directions more than `pdf_sum_bound`.
 
         It does not if nearly all samples are collected: then the score tells the error

@@ -41,12 +41,27 @@ def pytest_collection_modifyitems(
         items.append(Validation.from_parent(session, name=line))
 
 
+def pytest_terminal_summary(
+    terminalreporter: pytest.TerminalReporter, config: pytest.Config
+) -> None:
+    """Say that the lines were left out."""
+    left_out = config.getini(SETTING)
+    if left_out and not _lines(config):
+        terminalreporter.write_line(
+            f"{SETTING}: {len(left_out)} not validated, since only files or tests were "
+            "selected; they are with a folder, such as pytest ."
+        )
+
+
 def _lines(config: pytest.Config) -> list[str]:
-    """Lines of the setting; none if pytest was asked for certain files."""
+    """Lines of the setting; none if pytest was asked for single files or tests only."""
     if hasattr(config, "workerinput"):
         return config.workerinput[SETTING]
     asked = config.args_source is pytest.Config.ArgsSource.ARGS
-    return [] if asked else config.getini(SETTING)
+    here = config.invocation_params.dir
+    if asked and not any((here / one).is_dir() for one in config.args):
+        return []
+    return config.getini(SETTING)
 
 
 class Validation(pytest.Item):

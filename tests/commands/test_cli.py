@@ -271,7 +271,7 @@ BAD_OPTIONS = [
     ("--rays 1.5", "rays must be a whole number, got 1.5"),
     ("--rays 1e30", "rays must be at most 1e+15, got 1e+30"),
     ("--rays nan", "rays must be a whole number, got nan"),
-    ("--rays 5 --rel-err 0.1", "exclude each other"),
+    ("--rays 5 --rel-err 0.1", "are mutually exclusive"),
     ("--rel-err 2", "rel_err must be a number in (0, 1)"),
     ("--max-rays 1e6", "max_rays requires rel_err"),
     ("--collector projected:0x30", "at least 1, got 0"),
@@ -315,7 +315,7 @@ BAD_OPTIONS = [
 BAD_SPECIMENS = [
     ("difuse", "not found; did you mean diffuse?\n"),
     ("diffuse --phi_i=5", "--phi_i; did you mean --phi-i?\n"),
-    ("nothing", '"nothing" not found; one of your own is imported before, or'),
+    ("nothing", '"nothing" not found; import your own plugins first, or name'),
     ("diffuse:rho=1", "diffuse has no use for rho; it knows reflectance\n"),
     (
         "dielectric:ior=1.5",
@@ -782,6 +782,22 @@ def test_show_json_holds_the_records_numbers(run, saved):
     ledger = numbers["ledger"]
     assert ledger.pop("emitted") == sum(ledger.values()) == 2 * 10**4
     assert numbers["settings"]["collector"] == "solid:6x8"
+
+
+def test_measure_json_is_that_of_show(run, tmp_path):
+    """Exact, of one direction and of a stack; nothing but JSON is printed."""
+    path = tmp_path / "run.npz"
+    for angles in (["45"], ["0", "60"]):
+        measured = ("measure", "diffuse", "--theta-i", *angles, "--rays", "1e4")
+        code, out, err = run(*measured, "--json", "-o", path)
+        assert (code, err) == (0, "")
+        assert len(json.loads(out)["directions"]) == len(angles)
+        assert run("show", path, "--json") == (0, out, "")
+        assert run(*measured, "--json", "-q")[0] == 0
+
+
+def test_measure_json_is_of_one_order(refuse):
+    assert "apply to one order" in refuse(*QUICK, "--json", "--order", "1,2+")
 
 
 def test_worst_patches_have_the_largest_relative_error(saved):

@@ -84,7 +84,7 @@ def test_what_has_no_end_is_not_read(tmp_path, name, capsys):
     os.mkfifo(tmp_path / name)
     for path in (tmp_path / name, "/dev/zero"):
         assert cli.main(["show", str(path)]) == 1
-        assert "but a pipe or a device" in capsys.readouterr().err
+        assert "is a pipe or a device" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("ending", ["xml", "obj"])

@@ -338,8 +338,8 @@ def test_what_is_filled_in_is_sought_once(told, monkeypatch):
         (lambda copies: copies[:, :2], "does not fit its other entries"),
         (lambda copies: copies * [0, 1, 1], "not of directions that it holds"),
         (lambda copies: copies * [-1, 1, 1], "not of directions that it holds"),
-        (lambda copies: copies + [0, 24, 0], "moved in no way"),
-        (lambda copies: copies + [0, 0, 2], "moved in no way"),
+        (lambda copies: copies + [0, 24, 0], "an unknown motion"),
+        (lambda copies: copies + [0, 0, 2], "an unknown motion"),
         (lambda _: None, "its arrays are not those of a record"),
     ],
 )

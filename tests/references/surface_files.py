@@ -64,6 +64,15 @@ def write_x3p(path, heights=None):
         file.writestr("md5checksum.hex", f"{checksum} *main.xml\n")
 
 
+def write_nms(path, pitch):
+    """NanoFocus NMS of 8 x 6 points, as surfalize reads it; heights 0 to 2 um."""
+    header = bytearray(3468)
+    struct.pack_into("<2d", header, 16, 0.0, 2.0)
+    struct.pack_into("<2I2d", header, 1368, 8, 6, pitch, 2 * pitch)
+    heights = np.linspace(0, 65534, 48).astype("<u2")
+    path.write_bytes(bytes(header) + heights.tobytes())
+
+
 def write_tiff(path, pixels=None):
     """Uncompressed grey TIFF of 16 bits, of one strip."""
     pixels = (codes() + 30000 if pixels is None else pixels).astype("<u2")

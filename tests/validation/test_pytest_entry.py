@@ -71,5 +71,16 @@ def test_processes_of_xdist_know_the_lines(run):
     assert "1 failed" in run("-n", "1", "-k", "no-such")[1]
 
 
-def test_only_what_is_asked_for(run):
-    assert "1 test collected" in run("--collect-only", "test_other.py")[1]
+def test_only_what_is_asked_for(run, tmp_path):
+    """Single files and tests leave the lines out, and say so; folders do not."""
+    said = "gonio_bsdfs: 3 not validated, since only files or tests were selected"
+    (tmp_path / "tests").mkdir()
+    (tmp_path / "test_other.py").rename(tmp_path / "tests" / "test_other.py")
+    for word in ("tests/test_other.py", "tests/test_other.py::test_other"):
+        out = run("--collect-only", "-vv", word)[1]
+        assert "<Validation" not in out
+        assert said in out
+    for word in ("tests", ".", "./tests/"):
+        out = run("--collect-only", word)[1]
+        assert out.count("<Validation") == 3
+        assert said not in out

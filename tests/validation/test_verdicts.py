@@ -234,6 +234,11 @@ def test_light_on_the_side_that_scatters_none_is_told(side):
             SpecimenError,
             "must have one shape",
         ),
+        (
+            {"specimen": {"type": "scene", "a": {"type": "diffuse"}}},
+            SpecimenError,
+            "must be the root of its file",
+        ),
     ],
     ids=lambda v: next(iter(v)) if isinstance(v, dict) else None,
 )

@@ -379,7 +379,7 @@ def _integral(runs: Runs, pilot: Record, rays: int, seconds: float) -> Record:
             break
     # the integral knows eval only, and everything else knows sample only
     if _differ(pilot, record):
-        raise SpecimenError("eval is not what sample sends")
+        raise SpecimenError("eval and sample disagree")
     return record
 
 

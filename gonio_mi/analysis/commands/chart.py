@@ -1,7 +1,7 @@
 """``gonio-mi chart``: chart speed against accuracy for a specimen.
 
-Measure a specimen by every method with more and more rays, and chart the error over
-rays and over CPU seconds.
+Measure a specimen by every method with increasing numbers of rays, and chart the error
+against rays and CPU seconds.
 
 examples:
   gonio-mi chart diffuse --theta-i 45

@@ -1,10 +1,9 @@
 """``gonio-mi fit``: find the parameters of a BSDF from a record, a table or a specimen.
 
-Find the parameters with which a BSDF is closest to a record, to a table of measured
-values, or to a specimen that is measured first; their uncertainties from the noise of
-the record, what the table states, or how the model misses; and what the model cannot
-follow. A rough model without its distribution is tried with both, Beckmann and GGX, the
-closer one first.
+Fit the parameters of a BSDF to a record, to a table of measured values, or to a
+specimen that is measured first. Their uncertainties come from the noise of the record,
+those of the table, or the misfit of the model, which is printed too. A rough model
+without its distribution is tried with both, Beckmann and GGX, the closer one first.
 
 examples:
   gonio-mi fit run.npz roughconductor
@@ -15,8 +14,8 @@ examples:
   gonio-mi fit table.csv diffuse --uncertainty 0.01 --aperture-half-angle 1
   gonio-mi fit run.npz mybsdf:tint=0.5 --free weight=0:1 --plugin mybsdf.py
 
-What is looked at comes first, the models to be fitted come after it. The eval of a flat
-specimen without delta components is integrated, unless rays are asked for.
+The data come first, then the models to be fitted. The eval of a flat specimen without
+delta components is integrated, unless --rays is given.
 """
 
 from argparse import ArgumentParser, Namespace
@@ -77,7 +76,7 @@ def add_options(parser: ArgumentParser) -> None:
     text = "A BSDF in one word with its known parameters, such as roughconductor, "
     text += "roughdielectric:int_ior=1.5, roughplastic, diffuse or principled."
     add_text(parser, "models", "MODEL", text, nargs="+")
-    text = "Parameters to be found, or NAME=LOW:HIGH. Default: the model's usual ones."
+    text = "Parameters to fit, or NAME=LOW:HIGH. Default: the usual ones of the model."
     add_text(parser, "--free", "NAME", text, nargs="+")
     specimen = parser.add_argument_group("Specimen")
     several: dict[str, Any] = {"nargs": "+", "type": number}

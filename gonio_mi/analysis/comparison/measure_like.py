@@ -288,8 +288,8 @@ def _like_record(
     collimated = emitter.startswith("DirectionalEmitter")
     if record.provenance.emitter_digest or not collimated:
         raise SettingError(
-            f"the record was lit by {emitter:.60}, which it does not hold: measure the "
-            "specimen under that emitter too, and compare the two records"
+            f"the record's emitter {emitter:.60} is not stored in the record: measure "
+            "the specimen under that emitter too, and compare the two records"
         )
     sampling = () if holds_integrals(record.tallies) else SAMPLING_SETTINGS
     names = (*REPEATED_SETTINGS, *sampling)

@@ -271,16 +271,16 @@ class FittedModel:
                 if kind in CALLED:
                     meant = f"; did you mean {CALLED[kind]}?"
                 raise SettingError(
-                    f"free must name what is to be found of {kind}: it is known of "
-                    f"{', '.join(FREE)} only{meant}"
+                    f"free must name the parameters of {kind} to fit: there are "
+                    f"defaults for {', '.join(FREE)} only{meant}"
                 )
             free = [name for name in FREE[kind] if name not in bsdf]
         found = [Parameter.parse(text) for text in free]
         twice = [one.name for one in found if one.name in bsdf]
         if twice or not found:
             raise SettingError(
-                f"free must name what is to be found of {bsdf['type']} and not what "
-                f"is given, got {', '.join(twice) or 'nothing'}"
+                f"free must name parameters of {bsdf['type']} to fit, none of which "
+                f"has a given value, got {', '.join(twice) or 'nothing'}"
             )
         if any(one.name.startswith("alpha_") for one in found):
             found = [one for one in found if one.name != "alpha"]

@@ -86,7 +86,9 @@ def add_options(parser: ArgumentParser) -> None:
     text = "Scene with solar-weighted material data, for the Solar block; not needed "
     text += "with wavelengths from 300 to 2500 nm."
     add_text(group, "--solar", "SPECIMEN", text)
-    text = "The same of a mesh or a height map: its BSDF for all sunlight, in one word."
+    text = (
+        "The same for a mesh or a height map: its BSDF for all sunlight, in one word."
+    )
     add_text(group, "--solar-bsdf", "BSDF", text)
     product = parser.add_argument_group("Product")
     text = "Name of the product. Default: the specimen's."
@@ -168,7 +170,7 @@ def _solar(specimen: SpecimenLike, options: Namespace) -> SpecimenLike | None:
     if options.solar_bsdf is None:
         return None if options.solar is None else parse_specimen(options.solar)
     if options.solar is not None:
-        raise SettingError("--solar and --solar-bsdf exclude each other")
+        raise SettingError("--solar and --solar-bsdf are mutually exclusive")
     if not (is_mesh(options.specimen) or is_height_map(options.specimen)):
         raise SettingError(
             f"--solar-bsdf applies to meshes and height maps, got {options.specimen}: "

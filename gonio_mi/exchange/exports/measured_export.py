@@ -85,7 +85,7 @@ def _written(
         settings |= {"whole": True, "progress": progress}
         with warnings.catch_warnings():
             # flux that Mitsuba's interpolation adds counts as a loss of the file
-            warnings.filterwarnings("ignore", "the BSDF creates light")
+            warnings.filterwarnings("ignore", "the BSDF is not energy conserving")
             some = [incidents[i] for i in rough]
             again = measure_each(material, some, **settings)
         flux[rough] = again.flux_fraction[:, :1]

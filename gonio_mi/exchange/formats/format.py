@@ -1,6 +1,6 @@
 """What formats of this room share: texts read line by line, and their interface.
 
-ALTA and Mitsuba have no module: their files are only refused.
+ALTA, Mitsuba and TracePro have no module: their files are only refused.
 """
 
 import re
@@ -80,8 +80,8 @@ class Lines:
         return ""
 
     def skip(self, n: int) -> None:
-        """Go on by as many characters."""
-        require(0 <= n <= len(self._text) - self._at, "it ends in its description")
+        """Skip n characters."""
+        require(0 <= n <= len(self._text) - self._at, "it ends within its header")
         self.number += self._text.count("\n", self._at, self._at + n)
         self._at += n
 
@@ -119,7 +119,7 @@ def check_size(*counts: int) -> int:
     """
     product = 1
     for count in counts:
-        require(count >= 1, f"it announces {count} of something")
+        require(count >= 1, f"it announces a count of {count}")
         product *= count
         require(product <= MAX_NUMBERS, "it announces more values than any file has")
     return product
@@ -199,5 +199,13 @@ FORMATS = (
         ),
         refused="it is a data file of ALTA, whose parametrisations of directions have "
         "no reader here: write it as a table of theta_i, phi_i, theta_o, phi_o, value",
+    ),
+    Format(
+        "TracePro",
+        (),
+        begins=re.compile(r"\*?TracePro Surface Property"),
+        refused="it is a surface property of TracePro, whose angles relative to the "
+        "specular direction have no reader here: write its BSDF data as a table of "
+        "theta_i, phi_i, theta_o, phi_o, value",
     ),
 )

@@ -50,7 +50,7 @@ def read(stream: BinaryIO, quantity: str | None = None) -> Points:
                 "--quantity brdf or btdf"
             )
     else:
-        require(re.fullmatch(r"type bsdf_data", first), "it is none of FRED")
+        require(re.fullmatch(r"type bsdf_data", first), "it is not a FRED file")
         line = lines.next().lower()
         require(line.startswith("format"), "its second line must be its format")
         options |= dict(re.findall(r"(\w+)=(\S+)", line))

@@ -67,11 +67,13 @@ def _rows(stream: BinaryIO) -> tuple[Floats, dict[str, str]]:
     try:
         content = json.loads(without_mark(stream.read()).decode())
     except (ValueError, RecursionError) as error:
-        raise FileFormatError(f"it is no JSON: {error!s:.80}") from None
-    require(isinstance(content, Mapping), "it is no object of JSON")
+        raise FileFormatError(f"it is not JSON: {error!s:.80}") from None
+    require(isinstance(content, Mapping), "it is not a JSON object")
     metadata, brdf = content.get("metadata"), content.get("brdf")
-    require(isinstance(metadata, Mapping), "no OpenMATERIAL table: it has no metadata")
-    require(isinstance(brdf, Mapping), "no OpenMATERIAL table: it has no brdf")
+    require(
+        isinstance(metadata, Mapping), "not an OpenMATERIAL table: it has no metadata"
+    )
+    require(isinstance(brdf, Mapping), "not an OpenMATERIAL table: it has no brdf")
     for key in ("name", "uuid", *METADATA):
         require(key in metadata, f"its metadata lack {key}")
     for key, pattern in PATTERNS.items():
@@ -166,7 +168,7 @@ def read(stream: BinaryIO) -> Scatter:
         grid[pole] = np.where(~known_pole & (n_known > 0), known, grid[pole])
         require(
             bool(np.isfinite(grid).all()) and len(azimuth) > 2,
-            f"its exits for incidence at {theta_i:g} degrees are no grid over the "
+            f"its exits for incidence at {theta_i:g} degrees form no grid over the "
             "hemisphere: it is a table to compare with, but no material",
         )
         turned = np.mod(azimuth + 180, 360)  # here the mirror direction is 0

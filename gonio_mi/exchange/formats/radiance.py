@@ -80,7 +80,7 @@ WHITE = (4 / 19, 9 / 19)
 
 @dataclass(frozen=True)
 class Product:
-    """What the file says of the product, beside its light.
+    """Product data of the file, apart from its BSDF.
 
     Attributes
     ----------
@@ -270,7 +270,7 @@ def _root(stream: BinaryIO) -> ElementTree.Element:
         raise FileFormatError(f"it is not XML: {error}") from None
     for element in root.iter():
         element.tag = element.tag.rpartition("}")[2]
-    require(root.tag == "WindowElement", "it is no WindowElement of Radiance")
+    require(root.tag == "WindowElement", "it is not a Radiance WindowElement")
     return root
 
 
@@ -365,7 +365,7 @@ class RadianceBSDF:
             require(wavelength == "Solar" or not missing, reason)
 
     def holds(self, side: str, hemisphere: int) -> bool:
-        """Whether there is reflection (0) or transmission (1) of a lit face."""
+        """Whether the file has reflection (0) or transmission (1) of a lit face."""
         if ("Visible", DIRECTIONS[side, hemisphere]) in self.blocks:
             return True
         return self.is_reciprocal(side, hemisphere)

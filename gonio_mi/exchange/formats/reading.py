@@ -42,7 +42,7 @@ def endings_of(can: str) -> tuple[str, ...]:
 
 
 def lost_in_each() -> str:
-    """Line for each format with what its files cannot hold."""
+    """One line per format on what its files cannot hold."""
     rows = ((" ".join(one.endings), one) for one in _all() if one.loses)
     return "\n".join(f"  {name:18} {one.program}: {one.loses}" for name, one in rows)
 
@@ -102,7 +102,7 @@ def _scatter(known: Format | None, stream: BinaryIO, path: object) -> Scatter:
     if known is not None and known.refused:
         raise FileFormatError(known.refused.format(path=path))
     if known is None or known.scatter is None:
-        raise FileFormatError("it is a table to compare with, and no material")
+        raise FileFormatError("it is a table to compare with, not a material")
     return known.scatter(stream)
 
 
@@ -222,7 +222,7 @@ def read_measured(
     """
     if Path(path).suffix.lower() in endings_of("material"):
         raise FileFormatError(
-            f"{path} is no table of values: measure it as a material, "
+            f"{path} is not a table of values: measure it as a material, "
             f"goniometric:filename={path}, and compare the records"
         )
     known = format_of(path)

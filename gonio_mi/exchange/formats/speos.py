@@ -50,7 +50,7 @@ def read(stream: BinaryIO) -> Scatter:
     """
     rows = Lines(stream, not_text=BINARY)
     head = rows.row().strip()
-    require(head.startswith("OPTIS"), "it is no file of Speos")
+    require(head.startswith("OPTIS"), "it is not a Speos file")
     kind, _, version = head.rpartition(" v")
     require(kind.startswith((ANISOTROPIC, SPECTRAL)), f"it is a {head:.60}")
     known = is_decimal(version) and decimal(version) >= FIRST_VERSION

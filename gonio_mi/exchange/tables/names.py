@@ -105,7 +105,7 @@ SIGMAS_OF_LEVEL = {
 
 @dataclass(frozen=True)
 class Column:
-    """What a column of a table holds.
+    """Meaning of a column of a table.
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ class Column:
 
 
 def recognised(name: str) -> Column | None:
-    """Return what a column of this name holds, or None if a word in it is unknown."""
+    """Column of this name, or None if a word in it is unknown."""
     text, coverage, level = _without_coverage(name)
     text, channel = _without_wavelength(text)
     text, unit = _without_unit(text)

@@ -82,7 +82,7 @@ PANEL = re.compile(
 
 @dataclass(frozen=True)
 class Specified:
-    """What the user says of a table; the parameters of :func:`gonio_mi.read_measured`.
+    """What the user specifies of a table: parameters of `gonio_mi.read_measured`.
 
     Attributes
     ----------
@@ -121,7 +121,7 @@ def read_text(path: str | PathLike[str], specified: Specified) -> MeasuredTable:
 
 
 class _Reading:
-    """A text that is being read: notes on what is understood, questions on the rest."""
+    """State of a text being read: notes on interpretations, questions on the rest."""
 
     def __init__(self, text: TextTable, specified: Specified) -> None:
         self.text, self.place, self.specified = text, text.place, specified
@@ -255,7 +255,7 @@ class _Reading:
             by_role["sigma"] = [c for c in by_role["sigma"] if c.channel in own]
 
     def _check_clear(self, by_role: Mapping[str, Sequence[Column]]) -> None:
-        """Ask for the columns that lack, or of which there are several."""
+        """Ask about missing and ambiguous columns."""
         there = {column.role for column in self.known if column} | set(self.constants)
         azimuth = "phi_i" in by_role and "delta_phi" not in there
         needed = ["theta_i", "theta_o", "value", *["phi_o"] * azimuth]
@@ -320,7 +320,7 @@ class _Reading:
         )
 
     def _leave_out_missing(self) -> None:
-        """Leave out rows with a code for no number beside the value."""
+        """Leave out rows with a missing-value code outside the value column."""
         gone, found = np.zeros(len(self.lines), dtype=bool), set()
         for role in self.picked.keys() - {"value"}:
             column = self.arrays[role]
@@ -368,7 +368,7 @@ class _Reading:
         self._keep(np.abs(nm - names[self.channel]) <= WAVELENGTH_ROUNDING)
 
     def _note_columns(self) -> None:
-        """Note what the names were taken for, unless they are our own."""
+        """Note the interpretation of column names, unless they are our own."""
         columns = []
         for role, column in self.picked.items():
             unit = f" in {column.unit or 'deg'}" if role in ANGLES else ""

@@ -237,7 +237,7 @@ def decoded(path: str | PathLike[str]) -> str:
             text = content.decode(encoding)
             if not re.search(r"[\0-\x08\x0e-\x1f\x7f-\x9f]", text):
                 return text.replace("\N{MINUS SIGN}", "-")
-    raise FileFormatError(f"{path} is no table of values: it is not text")
+    raise FileFormatError(f"{path} is not a table of values: it is not text")
 
 
 def cut(line: str, delimiter: str) -> list[str]:

@@ -193,7 +193,7 @@ class HalfVectorTransport:
     def goes_to(
         self, place: Place, z: mi.Float64, hemisphere: mi.UInt32, point: DiskPoint
     ) -> tuple[DiskPoint, mi.Bool]:
-        """Where light of a record's lobe is sent to, and whether."""
+        """Target direction of light of a record's lobe, and a validity mask."""
         x, v, leaves = point.x, point.v, mi.Bool(False)
         for number, eta in self.etas:
             past = self._past(place, number)

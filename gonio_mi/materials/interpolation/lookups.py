@@ -31,7 +31,7 @@ def seen_from(wo: mi.Vector3f, phi_i: mi.Float64) -> DiskPoint:
 
 
 def on_disk(wo: Sequence[Any]) -> DiskPoint:
-    """The same for one in the frame of incidence, by its coordinates."""
+    """The same, from coordinates in the incidence frame."""
     x, y, z = wo
     across = dr.sqrt(y * y + z * z)
     return DiskPoint(dr.clip(x, -1, 1), dr.select(across > 0, y / across, 0))

@@ -54,9 +54,9 @@ def heightfield(props: mi.Properties) -> mi.Mesh:
     Files of profilometers and AFMs (x3p, sur, plu, MetroPro, Wyko OPD, gwy, ...) are
     read by the library SurfaceTopography (``pip install ".[surfaces]"``); their
     own unit is that of the scene. What makes a measurement doubtful is warned of: a
-    width that nobody told, absurdly steep facets, heights in steps that are coarse for
-    their slopes, and, where the unit is known, heights and facets that are small
-    against visible light.
+    width that nobody told, absurdly steep or flat facets, heights in steps that are
+    coarse for their slopes, and, where the unit is known, heights and facets that are
+    small against visible light.
 
     .. pluginparameters::
 

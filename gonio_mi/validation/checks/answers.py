@@ -33,7 +33,7 @@ ANSWERS = Question(
 
 
 class Answers(Mistake):
-    """What is wrong with answers."""
+    """Mistakes in answers."""
 
     IMPROPER = "the {what} of {who} is {value}"
     IMPROPER_IN_PLACES = "the {what} of {who} is {value} in places"

@@ -19,7 +19,7 @@ COMPONENTS = Question("components", __doc__, INTERFACE, volumes=SAME, rank=3)
 
 
 class Components(Mistake):
-    """What is wrong with components."""
+    """Mistakes in components."""
 
     OTHER_LOBE = """the weight of {who} times the probability of the discrete lobe of
         component {component} is not that of the component alone"""

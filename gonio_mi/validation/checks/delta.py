@@ -17,7 +17,7 @@ DELTA = Question("delta", __doc__, BIAS, SAMPLED, rank=0)
 
 
 class Delta(Mistake):
-    """What is wrong with discrete lobes."""
+    """Mistakes in discrete lobes."""
 
     MANY_DIRECTIONS = """{who} gives many directions to a lobe whose sampled_type is
         discrete, where `eval` is not 0 either: light is counted twice"""

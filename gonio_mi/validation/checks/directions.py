@@ -22,7 +22,7 @@ DIRECTIONS = Question(
 
 
 class Directions(Mistake):
-    """What is wrong with a record of `sample`."""
+    """Mistakes in a record of `sample`."""
 
     LENGTH = "{who}: directions are not of length 1"
     THROUGH = "{who}: a sample of a reflecting type leaves on the other side"

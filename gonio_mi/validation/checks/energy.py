@@ -14,7 +14,7 @@ from ..mueller import Lobes
 
 
 class Energy(Mistake):
-    """What is wrong with the flux that leaves."""
+    """Mistakes in the flux that leaves."""
 
     NOT_CONSERVED = "{who} is not energy conserving: {found}"
     NOT_1 = "{who} integrates to {flux}, where a phase function has 1"

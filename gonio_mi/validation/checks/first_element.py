@@ -22,7 +22,7 @@ FIRST_ELEMENT = Question(
 
 
 class FirstElement(Mistake):
-    """What is wrong with first elements."""
+    """Mistakes in first elements."""
 
     FACTOR = """{who} reflects or transmits {factor} times what it does without
         polarisation{mode}: a factor of one of its two branches is missing"""

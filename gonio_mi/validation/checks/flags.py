@@ -25,7 +25,7 @@ DECLARED = Question(
 
 
 class Declared(Mistake):
-    """What is wrong with what is declared."""
+    """Mistakes in what is declared."""
 
     OF_A_COMPONENT = "{who} of the whole lacks what a component declares"
     TYPE = "{who} does not declare {names}, which `sample` draws"

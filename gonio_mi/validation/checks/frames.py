@@ -21,7 +21,7 @@ FRAMES = Question(
 
 
 class Frames(Mistake):
-    """What is wrong with frames."""
+    """Mistakes in frames."""
 
     OF_AZIMUTH = """{who} depends on the azimuth of an isotropic surface: its frames are
         turned wrongly"""

@@ -22,7 +22,7 @@ MASKS = Question(
 
 
 class Masks(Mistake):
-    """What is wrong with masks."""
+    """Mistakes in masks."""
 
     IGNORED = "{who} ignores `active`: inactive rays get a value"
     OF_OTHERS = "{who} answers active rays differently when others are not"

@@ -27,7 +27,7 @@ from .sampled_weight import SAMPLED_WEIGHT
 
 
 class Matrix(Mistake):
-    """What is wrong with matrices, in one `mode` or in both."""
+    """Mistakes in matrices, in one `mode` or in both."""
 
     NOT_FINITE = "{who} returns matrices with elements that are not finite"
     NEGATIVE = "{who} returns matrices with a negative first element"

@@ -37,7 +37,7 @@ PARAMETERS = Question(
 
 
 class Parameters(Mistake):
-    """What is wrong with parameters."""
+    """Mistakes in parameters."""
 
     STALE = "{who} does not follow a change of {name}"
     STALE_ALONE = "{those} {does} not follow a change of {name} alone"

@@ -20,8 +20,8 @@ RECIPROCITY = Question(
     __doc__,
     MODEL,
     {BIAS: ALL, BREAKS: FROM_LIGHTS},
-    volumes="source and detector can be exchanged",
-    matrices="source and detector can be exchanged, in all elements",
+    volumes="Helmholtz reciprocity",
+    matrices="Helmholtz reciprocity, in all elements",
     rank=2,
 )
 

@@ -10,7 +10,7 @@ SAMPLED_PDF = Question(
 
 
 class SampledPdf(Mistake):
-    """What is wrong with a sampled pdf."""
+    """Mistakes in a sampled pdf."""
 
     OTHER = "{who} returns another pdf than `pdf`"
 

@@ -27,7 +27,7 @@ SAMPLED_WEIGHT = Question(
 
 
 class SampledWeight(Mistake):
-    """What is wrong with sampled weights."""
+    """Mistakes in sampled weights."""
 
     OTHER = "the weight of {who} is not `eval` over pdf"
     OTHER_MEAN = "{who}: the mean weight is not that of `eval` over pdf"

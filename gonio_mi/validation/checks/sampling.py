@@ -34,7 +34,7 @@ Terms: TypeAlias = tuple[Floats, ...]
 
 
 class Sampling(Mistake):
-    """What is wrong with densities."""
+    """Mistakes in densities."""
 
     MORE_THAN_1 = "{who} integrates to {mass:.4g}, more than 1{dark}"
     DARK_SIDE = """{who} is not 0 from a side that `flags` does not declare, where
@@ -228,7 +228,7 @@ def check_pooled(evidence: Evidence) -> None:
     """Test sums over all patches and conditions, for a small error everywhere."""
     for question in (SAMPLING, WEIGHTS):
         name = question.name
-        varying = (m for m in evidence.maps if name == "weights" or m.count_varies)
+        varying = (m for m in evidence.maps if name == "weights" or m.is_count_random)
         # what is certain is judged one by one
         scores = [z for m in varying if 0 < abs(z := m.scores(name).total) < 8]
         if len(scores) > 1:

@@ -1,8 +1,8 @@
 """``gonio-mi conformance``: Mitsuba's own plugins under several versions, as a page.
 
-Ask Mitsuba's own BSDFs and phase functions under several installed versions whether
-their functions agree, and write a page: a row for each set of parameters, a column for
-each version, and for what does not agree a script of at most 20 lines.
+Check the functions of Mitsuba's own BSDFs and phase functions for consistency under
+several installed versions, and write a page: a row for each set of parameters, a column
+for each version, and for each inconsistency a script of at most 20 lines.
 
 examples:
   python3 -m venv old && old/bin/pip install mitsuba==3.8.0 numpy
@@ -10,7 +10,7 @@ examples:
   gonio-mi conformance --variants llvm_ad_mono llvm_ad_spectral -o table.html
 
 The other environments need Mitsuba and NumPy, nothing of this package.
-Exit code 3: something does not agree.
+Exit code 3: something is inconsistent.
 """
 
 from argparse import ArgumentParser, Namespace

@@ -1,7 +1,7 @@
 """``gonio-mi validate``: examine a BSDF plugin, and say which function is wrong.
 
-Examine a BSDF plugin: what `sample`, `pdf` and `eval` say of the same directions,
-energy, reciprocity, transport modes, flags, masks, and the ends of its domain.
+Examine a BSDF plugin: consistency of `sample`, `pdf` and `eval`, energy, reciprocity,
+transport modes, flags, masks, and the ends of its domain.
 
 examples:
   gonio-mi validate roughconductor:alpha=0.2,distribution=ggx
@@ -13,7 +13,7 @@ examples:
 
 Exit code 3: something that --allow does not name biases images, by 1e-4 of the flux at
 least, or breaks integrators (with --strict: anything that fails). Exit code 4:
-undecided, for no light was scattered, no integral converged, or a polarised plugin
+undecided, because no light was scattered, no integral converged, or a polarised plugin
 could not be loaded in the unpolarised variant.
 """
 

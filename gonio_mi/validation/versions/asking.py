@@ -82,7 +82,7 @@ def answers_about(
     seed: int = 0,
     given: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """What the Mitsuba that a Python finds says of a BSDF, for JSON.
+    """Answers about a BSDF from the Mitsuba of another Python, for JSON.
 
     Parameters
     ----------

@@ -80,7 +80,7 @@ summary { cursor: pointer; overflow-wrap: anywhere; } .wrong pre { max-width: 60
 
 @dataclass(frozen=True)
 class Question:
-    """One script, and what it asks.
+    """One script and its question.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class Question:
 
 @dataclass(frozen=True)
 class Answer:
-    """What one script says under one version.
+    """Output of one script under one version.
 
     Attributes
     ----------

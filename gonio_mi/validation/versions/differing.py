@@ -60,7 +60,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Differences:
-    """What two versions of Mitsuba say of one BSDF.
+    """Differences between two versions of Mitsuba for one BSDF.
 
     Attributes
     ----------
@@ -200,7 +200,7 @@ def saved(
     name: str | None = None,
     **asked: Any,
 ) -> dict[str, Any]:
-    """What the Mitsuba of a virtual environment says of a BSDF, for JSON.
+    """Answers about a BSDF from the Mitsuba of a virtual environment, for JSON.
 
     Parameters as of :func:`diff`; `name` is what the entry is called.
     """

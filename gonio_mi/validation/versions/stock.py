@@ -62,7 +62,7 @@ def bsdfs() -> Iterator[list[dict[str, Any]]]:
 
 
 def _composed() -> dict[str, list[dict[str, Any]]]:
-    """Parameters of those that hold other BSDFs."""
+    """Parameters of BSDFs that nest other BSDFs."""
     diffuse, glossy = {"type": "diffuse"}, {"type": "roughconductor", "alpha": 0.2}
     heights = np.linspace(0, 0.3, 16, dtype=np.float32).reshape(4, 4, 1)
     normals = np.tile(np.array([0.55, 0.5, 0.99], np.float32), (2, 2, 1))

@@ -96,7 +96,10 @@ def answers(bsdf: Any, modes: list[str], question: dict[str, Any]) -> str:
     if isinstance(bsdf, mi.Scene):
         shapes = [shape for shape in bsdf.shapes() if not shape.is_emitter()]
         if len(shapes) != 1:
-            raise ValueError(f"the scene must have one shape, got {len(shapes)}")
+            raise ValueError(
+                f"the scene must have one shape, got {len(shapes)}: a BSDF alone must "
+                "be the root of its file, <bsdf ...> in place of <scene ...>"
+            )
         bsdf = shapes[0].bsdf()
     arrays: dict[str, Any] = {}
     for i, mode in enumerate(modes):

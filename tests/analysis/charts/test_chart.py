@@ -347,7 +347,7 @@ def test_integrals_that_disagree_with_rays_are_not_the_truth(monkeypatch):
 
     monkeypatch.setattr(charting.Runs, "measure", wrong)
     chart = charting.chart(DIFFUSE, 30, samplers=["sobol"], seconds=2, repeats=2)
-    assert chart.reference.refused == "eval is not what sample sends"
+    assert chart.reference.refused == "eval and sample disagree"
     assert all(c.sampler for c in chart.curves)
     # exact weights of 1/2: but some rays in 1e7 leave along the horizon
     assert chart.reference.mean == pytest.approx(0.5 / np.pi, rel=1e-6)

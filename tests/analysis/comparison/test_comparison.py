@@ -663,7 +663,7 @@ def test_reader_of_other_files(tmp_path):
     path = tmp_path / "a.csv"
     for content in (b"\x89PNG\r\n\x1a\n\xff\xfe", b"PK\x03\x04\0\0"):
         path.write_bytes(content)
-        with pytest.raises(gonio.FileFormatError, match="is no table of values"):
+        with pytest.raises(gonio.FileFormatError, match="is not a table of values"):
             read_measured(path)
     with pytest.raises(FileNotFoundError):
         read_measured(tmp_path / "none.csv")

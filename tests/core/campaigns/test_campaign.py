@@ -221,7 +221,9 @@ def test_a_worker_that_dies_is_replaced(deadly, reference):
     with pytest.raises(BrokenExecutor):
         gonio.campaign(always, 0, **SETTINGS, **settings, retries=0)
     Path(specimen["marker"]).unlink()
-    with pytest.warns(RuntimeWarning, match="a worker died; 6 tasks are sent again"):
+    with pytest.warns(
+        RuntimeWarning, match="a worker process died; 6 tasks are repeated"
+    ):
         records = gonio.campaign({"matt": specimen}, **ANGLES, **SETTINGS, **settings)
     assert records["matt"].tallies == reference["matt"].tallies
 

@@ -735,7 +735,7 @@ BAD_FIELDS = [
     ({"rgb": np.ones((1, 3, 2, 4, 4), np.float32)}, "rgb of shape"),
     ({"vndf": np.ones((1, 2, 2, 2), np.float32)}, "vndf of shape"),
     ({"vndf": np.ones((1, 3, 2, 2))}, "vndf is float64"),
-    ({"vndf": np.zeros((1, 3, 2, 2), np.float32)}, "no density"),
+    ({"vndf": np.zeros((1, 3, 2, 2), np.float32)}, "is not a sampling density"),
     ({"luminance": np.full((1, 3, 4, 4), np.nan, np.float32)}, "not finite"),
     ({"theta_i": np.zeros(3, np.float32)}, "must ascend"),
     ({"jacobian": np.zeros(0, np.uint8)}, "jacobian of shape"),

@@ -259,7 +259,7 @@ def test_other_content(tmp_path, ending, content):
 
 def test_the_other_format(tmp_path):
     path = saved(tmp_path, RECORDS["plain"], ".npz").rename(tmp_path / "map.exr")
-    assert "no OpenEXR file" in refused(path)
+    assert "not an OpenEXR file" in refused(path)
     path = saved(tmp_path, RECORDS["plain"], ".exr").rename(tmp_path / "run.npz")
     assert "not a zip file" in refused(path)
 

@@ -235,8 +235,8 @@ def test_slider_pointer_and_csv_show_the_record(opened, tmp_path):
         assert number == pytest.approx(record.btdf[index, 3, 2, 0], rel=0, abs=shown)
         assert number != pytest.approx(record.btdf[1, 3, 2, 0], rel=0, abs=shown)
         assert f"{record.counts[index, 1, 3, 2]} rays" in text
-    rings = page.locator("#map-0-1 .annotation-text").all_text_contents()
-    assert rings == ["30°", "60°"]
+    angles = page.locator("#map-0-1 .annotation-text").all_text_contents()
+    assert angles == ["30°", "60°", "φ 0°", "90°", "180°", "270°"]
     with page.expect_download() as download:
         page.locator("#csv").click()
     path = tmp_path / "direction.csv"

@@ -99,7 +99,7 @@ def test_rows(weight, z, pdf, row):
         assert record.counts.sum() == 0
 
 
-@pytest.mark.filterwarnings("ignore:the BSDF creates light")
+@pytest.mark.filterwarnings("ignore:the BSDF is not energy conserving")
 def test_weights_above_one_are_summed_exactly():
     """Exact: analog rays of weight 2.5 count twice or three times."""
     specimen = scripted(2.5)

@@ -175,7 +175,7 @@ def test_max_rays_comes_first():
     ("settings", "message"),
     [
         ({"rel_err": 0}, "rel_err must be a number in"),
-        ({"rel_err": 0.01, "rays": 100}, "rel_err and rays exclude each other"),
+        ({"rel_err": 0.01, "rays": 100}, "rel_err and rays are mutually exclusive"),
         ({"max_rays": 10**6}, "max_rays requires rel_err"),
         ({"rel_err": 0.01, "max_rays": 5}, "at least 262144, the rays that show"),
         ({"rel_err": 0.01, "floor": 2}, "floor must be a fraction"),

@@ -344,7 +344,10 @@ def test_material_file_in_one_word(tmp_path, monkeypatch, capsys):
         assert main(["measure", word, "--theta-i", "30", "--rays", "1000"]) == 0
     (tmp_path / "metal.xml").write_text("<scene/>")
     for word, said in (
-        ("goniometric:filename=metal.xml", "metal.xml: it is no WindowElement"),
+        (
+            "goniometric:filename=metal.xml",
+            "metal.xml: it is not a Radiance WindowElement",
+        ),
         ("metal_.xml", "there is no file metal_.xml"),
     ):
         assert main(["measure", word, "--theta-i", "30"]) == 1

@@ -180,6 +180,46 @@ def test_the_parameters_of_a_bsdf_are_told(plugin):
     ]
 
 
+def _empty(self, _):
+    self.value = 1
+
+
+def _early(self, _):
+    self.m_flags = mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide
+
+
+def _wrong(self, props):
+    mi.BSDF.__init__(self, props)
+    self.m_flags = "diffuse"
+
+
+CALL = r"mi\.{}\.__init__\(self, props\) first"
+
+
+@pytest.mark.filterwarnings("ignore:nanobind")
+@pytest.mark.parametrize(
+    ("init", "family", "said"),
+    [
+        (_empty, "bsdf", "the class of first_mistake must derive .* call mi.BSDF"),
+        (_empty, "phase", "the class of first_mistake must derive"),
+        (_early, "bsdf", "BsdfFirst.__init__ must call " + CALL.format("BSDF")),
+        (
+            _early,
+            "phase",
+            "PhaseFirst.__init__ must call " + CALL.format("PhaseFunction"),
+        ),
+        (_wrong, "bsdf", "incompatible function arguments"),
+    ],
+)
+def test_a_base_class_that_is_not_initialised_is_named(init, family, said):
+    """Twin: flags of a wrong type in a class that initialises its base."""
+    base = {"bsdf": mi.BSDF, "phase": mi.PhaseFunction}[family]
+    whole = type(f"{family.title()}First", (base,), {"__init__": init})
+    getattr(mi, f"register_{family}")("first_mistake", whole)
+    with pytest.raises(gonio.SpecimenError, match=said):
+        gonio.measure({"type": "first_mistake"}, 0)
+
+
 CHECKERS = {"type": "checkerboard", "color0": 0.2}
 DIFFUSE = {"type": "diffuse"}
 

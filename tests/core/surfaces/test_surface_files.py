@@ -1,6 +1,7 @@
 """Files of profilometers, images of heights, and what is done to them, are right."""
 
 import io
+import re
 import zipfile
 from pathlib import Path
 
@@ -68,6 +69,57 @@ def test_x3p_is_read(tmp_path):
     assert found.unit == "m"
 
 
+@pytest.mark.parametrize("pitch", [312.5, 312.5e-6])
+def test_nms_is_in_nanometres(tmp_path, pitch):
+    """Rounding; of a file in mm, as the library takes them all, the library's own."""
+    surface_files.write_nms(tmp_path / "a.nms", pitch)
+    found = read(tmp_path / "a.nms")
+    assert found.unit == "µm"
+    assert np.allclose(found.spacing, (0.3125, 0.625), rtol=4 * EPS, atol=0)
+    assert (found.heights.min(), found.heights.max()) == (0, 2)
+
+
+GRID = """NCOLS 3
+nrows 2
+xllcorner 500000.0
+yllcorner -4.5
+{}
+NODATA_value -9999
+1 2 3
+4 -9999 6
+"""
+
+
+@pytest.mark.parametrize("cells", ["cellsize 2.0", "dx 2.0\ndy 2.0"])
+def test_esri_grids_are_read(tmp_path, cells):
+    """Exact: the first row is the northernmost, the largest y; NaN for no data."""
+    (tmp_path / "a.asc").write_text(GRID.format(cells))
+    found = read(tmp_path / "a.asc")
+    assert np.array_equal(found.heights, [[4, np.nan, 6], [1, 2, 3]], equal_nan=True)
+    assert (found.spacing, found.unit, found.periodic) == ((2, 2), None, False)
+    assert found.source == "a.asc (ESRI ASCII grid, heights)"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("a.asc", GRID.format("cellsize 2") + "7", "of 3 x 2 points .* got 7"),
+        ("a.asc", GRID.format(""), "must state its cellsize"),
+        ("a.stp", "ISO-10303-21;\nHEADER;\n", "it is a STEP model: export a mesh"),
+        ("a.sdf", "aISO-2.0\n", "an SDF file of version 2.0 .* only 1.0 is read"),
+        (
+            "a.asc",
+            "ncols x\n" + 3 * "1 2 3\n",
+            "labels, such as ncols x, and not a grid",
+        ),
+    ],
+)
+def test_a_file_that_is_not_read_is_named(tmp_path, name, text, said):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(FileFormatError, match=said):
+        read(tmp_path / name)
+
+
 @pytest.mark.skipif(not REAL.is_dir(), reason="the instruments' files are not here")
 def test_files_of_instruments():
     """Against their bytes, which NumPy reads by itself; rounding of the scale."""
@@ -119,7 +171,7 @@ def test_a_process_of_its_own_reads(tmp_path, monkeypatch):
     dying = tmp_path / "height_map_reader.py"
     dying.write_text("import os; os.abort()")
     monkeypatch.setattr("gonio_mi.surfaces.height_maps.__file__", str(dying))
-    with pytest.raises(FileFormatError, match="its reader broke down"):
+    with pytest.raises(FileFormatError, match="its reader crashed"):
         read(tmp_path / "a.sur")
 
 
@@ -150,7 +202,7 @@ def test_codes_of_an_image_need_a_scale(png):
     assert measured(filename=str(path), scale=2.0**-20) == expected
     assert measured(filename=str(path), range=65535 * 2.0**-20) == expected
     assert measured(filename=str(path), range=65535 * 2.0**-19) != expected
-    with pytest.raises(SpecimenError, match="goes with images of whole numbers"):
+    with pytest.raises(SpecimenError, match="applies to images of integers"):
         measured(heights=mi.TensorXf(codes * 1.0), range=1.0)
 
 
@@ -185,6 +237,36 @@ def test_absurd_slopes_are_warned_of(png):
     with pytest.warns(RuntimeWarning, match="absurdly steep, alpha .* in one unit"):
         mi.load_dict(specimen | {"scale": 1.0})
     mi.load_dict(specimen | {"range": 0.02})
+
+
+def test_absurdly_flat_facets_are_warned_of():
+    """2 um over 20 m: a millionth of a slope; twin: 2 um over 20 um, or over 20 mm."""
+    x = np.arange(64)
+    waves = np.tile(1e-6 * np.cos(2 * np.pi * x / 32), (64, 1))
+    for unit in ("m", None):
+        wide, *_ = topography(HeightMap(waves, "a", (20 / 63,) * 2, unit)).concerns()
+        assert "absurdly flat" in wide
+        of = "" if unit is None else " m"
+        assert re.search(
+            f"extent of 20.* x 20.*{of} and an rms height of 7.*{of}", wide
+        )
+        assert "give the extent by size (--size)" in wide
+    for extent in (20e-3, 20e-6):
+        surface = topography(HeightMap(waves, "a", (extent / 63,) * 2))
+        assert not any("absurdly" in one for one in surface.concerns())
+
+
+@pytest.mark.needs("analysis")
+def test_nothing_is_computed_of_a_guessed_width(tmp_path, capfd):
+    """What is known is printed; facets of a guess are not asked about."""
+    path = tmp_path / "ramp.npy"
+    np.save(path, RAMP)
+    assert main(["surface", str(path)]) == 1
+    out, err = capfd.readouterr()
+    assert "heights   0 to 20 scene units" in out
+    assert "G1" not in out
+    assert "the width of ramp.npy is not known, and 2 was taken" in err
+    assert err.count("\n") == 1
 
 
 # ------------------------------------------------------------------------ preparation

@@ -24,7 +24,7 @@ def diffuse(reflectance):
 def test_a_reflectance_above_one_is_told(estimator, reflectance):
     # so many rays that some lost unseen cannot be the reason
     settings = SETTINGS | {"rays": 10**5, "estimator": estimator}
-    with pytest.warns(RuntimeWarning, match=f"creates light: {reflectance}"):
+    with pytest.warns(RuntimeWarning, match=f"energy conserving: {reflectance}"):
         gonio.measure(diffuse(reflectance), 30, **settings)
 
 

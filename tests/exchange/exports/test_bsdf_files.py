@@ -445,7 +445,7 @@ def test_a_mesh_has_a_bsdf_for_sunlight(tmp_path, capsys):
     assert np.allclose(blocks["Solar", "Reflection Back"], half, atol=2 * DIGITS)
     assert half.any()
     assert cli.main([*words, *given, "--solar", "diffuse"]) == 1
-    assert "--solar and --solar-bsdf exclude each other" in capsys.readouterr().err
+    assert "--solar and --solar-bsdf are mutually exclusive" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -26,12 +26,14 @@ TEXTS = {
     "alta.dat": "#DIM 3 1\n#PARAM_IN RUSIN_TH_TD_PD\n#PARAM_OUT INV_STERADIAN\n"
     "0 0 0 0.3\n",
     "mitsuba.bsdf": "tensor_file\0\1\0",
+    "tracepro.txt": "*TracePro Surface Property Data\nFile Name\tpaint.txt\n",
     "a.bsdf180": "OPTIS - BSDF180 surface file v1.0\n0\n",
     "a.scattering": "OPTIS - Scattering v1.0\n",
     "a.simplescattering": "OPTIS - Simple scattering v1.0\n",
 }
 REFUSED = {
     "alta.dat": "a data file of ALTA, whose parametrisations",
+    "tracepro.txt": "a surface property of TracePro, whose angles",
     "mitsuba.bsdf": "a material of Mitsuba: measure the specimen measured:filename=",
     "a.bsdf180": "names two other files",
     "a.scattering": "parameters of a model",
@@ -180,8 +182,8 @@ a.brdf | brdf surface file | a lamp | it is a OPTIS - a lamp
 a.brdf | v9.0 | v1.0 | version 1.0: save it anew
 a.json | "license" | "licence" | its metadata lack license
 a.json | "uuid": " | "uuid": "x | its uuid does not match the format
-a.json | "brdf" | "bsdf" | no OpenMATERIAL table: it has no brdf
-a.json | "metadata" | "meta" | no OpenMATERIAL table: it has no metadata
+a.json | "brdf" | "bsdf" | not an OpenMATERIAL table: it has no brdf
+a.json | "metadata" | "meta" | not an OpenMATERIAL table: it has no metadata
 a.json | "wavelengths": [5.5e-07] | "wavelengths": [5e-7] | not those of its lookupT
 a.json | [[5.5e-07, 0.0 | [[5.5e-07, 2.0 | row 0 .* incident zenith 2
 a.json | [[5.5e-07, 0.0 | [[5.5e-07 | row 0 of its lookupTable must have 5 numbers
@@ -206,7 +208,7 @@ a.astm | 1\nVARS | 0\nVARS | announces 0 points and holds 1
 klems.xml | <?xml | <?xml oops | not XML
 klems.xml | </WindowElement> | | not XML
 klems.xml | <WindowElement  | <!DOCTYPE x [<!ENTITY a "b">]><WindowElement  | DTD
-klems.xml | WindowElement | Elsewhere | no WindowElement
+klems.xml | WindowElement | Elsewhere | not a Radiance WindowElement
 klems.xml | Columns | TensorTree2 | must be Columns, Rows, TensorTree3, TensorTree4
 klems.xml | LBNL/Klems Quarter< | LBNL/Klems Half< | must hold 5929 values
 klems.xml | <RowAngleBasis>LBNL/Klems Quarter< | <RowAngleBasis>x< | must be one of

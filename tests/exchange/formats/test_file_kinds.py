@@ -72,6 +72,7 @@ def test_what_is_no_specimen(name, tmp_path, capsys):
             "ply\nformat ascii 1.0\nelement vertex 1\nend_header\n\n",
             "a cloud of points, which no command reads",
         ),
+        ("part.glb", "glTF", "is a model of another program"),
         ("room.rad", "void plastic red\n0\n0\n", "is a scene of Radiance"),
         ("README.md", "# Title\n", "is no specimen: scenes are Mitsuba's, in XML"),
     ],
@@ -100,7 +101,7 @@ def test_text_with_labels_is_no_map_of_heights(formats, tmp_path):
     for labels in ("{ Thickness } 3.0", "# wavelength T Rf Rb", "wavelength T Rf Rb"):
         path.write_text(f"{labels}\n{SPECTRUM}")
         with pytest.raises(
-            ValueError, match=f"such as {labels}, and no map of heights"
+            ValueError, match=f"such as {labels}, and not a grid of heights"
         ):
             height_map_reader.read(str(path), formats.split(","))
     maps = "Channel: Main\nWidth: 10 um\nHeight: 10 um\nValue units: um\n"

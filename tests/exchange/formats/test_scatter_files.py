@@ -668,9 +668,9 @@ def test_a_format_that_is_added_is_read_written_and_named(tmp_path, monkeypatch)
 def test_files_of_others_by_these_names(tmp_path):
     for name, content, message in (
         ("a.binary", b"\0" * 12, "12 bytes instead of 34992012"),
-        ("a.json", b"[1, 2]", "no object of JSON"),
-        ("a.json", b"[" * 100_000, "no JSON"),
-        ("a.bsdf", b"type bsdf_data\nformat\n", "no material"),
+        ("a.json", b"[1, 2]", "not a JSON object"),
+        ("a.json", b"[" * 100_000, "not JSON"),
+        ("a.bsdf", b"type bsdf_data\nformat\n", "not a material"),
     ):
         path = tmp_path / name
         path.write_bytes(content)

@@ -237,7 +237,7 @@ def test_files_that_are_no_material_are_refused(tmp_path):
     (tmp_path / "foreign.xml").write_text("<a/>")
     front = {"back_filename": str(tmp_path / "front.xml")}
     for name, parameters, message in (
-        ("foreign.xml", {}, "filename: cannot load .* no WindowElement"),
+        ("foreign.xml", {}, "filename: cannot load .* not a Radiance WindowElement"),
         ("front.xml", front, "back_filename: .* no light that meets its back"),
     ):
         with pytest.raises(RuntimeError, match=message):
