@@ -19,8 +19,8 @@ NOTEBOOK, PAGE = NOTEBOOKS / "paper_again.ipynb", NOTEBOOKS / "paper.md"
 FIGURES = NOTEBOOKS / "images" / "paper"
 HEAD = """# The paper, reproduced
 
-*Its tables and figures, made again for each version; [the notebook](paper_again.ipynb) has the
-code.*
+*Its tables and figures, made again for each version; [the
+notebook](paper_again.ipynb) has the code.*
 """
 
 
