@@ -20,7 +20,11 @@ from .annexes import is_missing  # noqa: E402
 llvm.prepare()
 
 if start_up.needs_mitsuba():
-    from . import plugins  # noqa: F401
+    try:
+        from . import plugins  # noqa: F401
+    except NameError as error:
+        start_up.name_missing_library(error)
+        raise
 
 # The stub for type checkers says which module each public name is of.
 _stub = ast.parse(Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8"))

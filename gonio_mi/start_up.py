@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
+from typing import NoReturn
 
 PROGRAM = "gonio-mi"
 # Commands that read records and tables only, and help: to load Mitsuba takes as long.
@@ -49,15 +50,33 @@ def end() -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+def name_missing_library(error: NameError) -> None:
+    """Say what Dr.Jit could not load: its own report of that raises NameError.
+
+    Raises
+    ------
+    ImportError, SystemExit
+        The latter for the program.
+    """
+    if isinstance(error.__context__, ImportError):
+        remedy = "on Debian and Ubuntu `sudo apt install libatomic1` brings libatomic"
+        _refuse(ImportError(f"Dr.Jit cannot be loaded: {error.__context__}; {remedy}"))
+
+
 def _check_folder() -> None:
     """Raise unless the working folder exists."""
     try:
         os.getcwd()
     except FileNotFoundError:
         text = "the working folder was deleted: change to another one"
-        if _is_program():
-            sys.exit(f"{PROGRAM}: {text}")
-        raise FileNotFoundError(text) from None
+        _refuse(FileNotFoundError(text))
+
+
+def _refuse(error: Exception) -> NoReturn:
+    """Raise an error; the program ends with its sentence alone."""
+    if _is_program():
+        sys.exit(f"{PROGRAM}: {error}")
+    raise error from None
 
 
 def _is_program() -> bool:

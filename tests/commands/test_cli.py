@@ -368,7 +368,7 @@ BAD_SPECIMENS = [
 BAD_LINES = [
     ("", "COMMAND"),
     ("fly", "'fly'"),
-    ("mesure diffuse", "'conformance'); did you mean measure?\n"),
+    ("mesure diffuse", "); did you mean measure?\n"),
     ("measure", "SPECIMEN"),
     ("measure diffuse", "--theta-i 45"),
     ("measure diffuse --theta-i abc", "--theta-i must be a number"),

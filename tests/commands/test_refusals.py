@@ -49,7 +49,7 @@ def test_no_plugin_ends_the_process(tmp_path):
     command = [sys.executable, "-c", BARE, *scenes]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout[-200:] + done.stderr[-400:]
-    assert done.stdout.endswith("done\n")
+    assert "\ndone\n" in done.stdout  # a colour may be reset after it
     assert "blendbsdf\n" in done.stdout
 
 
@@ -158,3 +158,29 @@ def test_the_package_is_a_program():
     command = [sys.executable, "-m", "gonio_mi", "--version"]
     done = subprocess.run(command, capture_output=True, text=True)
     assert (done.returncode, done.stdout.split()[0]) == (0, "gonio-mi")
+
+
+# As Dr.Jit 1.5 does, whose own report of what is missing fails.
+DRJIT = """
+try:
+    raise ImportError("libatomic.so.1: cannot open shared object file")
+except ImportError:
+    filename = _drjit_ext.__file__
+"""
+
+
+@pytest.mark.parametrize(
+    ("program", "begins", "lines"),
+    [("gonio-mi", "gonio-mi: ", 1), ("mine.py", "Traceback", None)],
+)
+def test_a_library_that_the_system_lacks_is_named(tmp_path, program, begins, lines):
+    (tmp_path / "drjit.py").write_text(DRJIT)
+    code = f"import sys; sys.argv = [{program!r}, 'measure', 'diffuse']\n"
+    code += f"sys.path.insert(0, {str(tmp_path)!r}); import gonio_mi"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    said = done.stderr.splitlines()
+    assert done.returncode == 1
+    assert said[0].startswith(begins)
+    assert len(said) == (lines or len(said))
+    assert "Dr.Jit cannot be loaded: libatomic.so.1: cannot open" in said[-1]
+    assert said[-1].endswith("`sudo apt install libatomic1` brings libatomic")

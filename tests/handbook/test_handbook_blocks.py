@@ -85,9 +85,10 @@ def shown_file(text):
 def lines(text):
     """Commands of a block of them, comments left out, as lists of words."""
     for line in text.replace("\\\n", " ").splitlines():
-        words = shlex.split(line, comments=True)
-        if words:
-            yield words
+        for command in line.split(" && "):
+            words = shlex.split(command, comments=True)
+            if words:
+                yield words
 
 
 # What says how many rays there are, if any.
@@ -134,14 +135,14 @@ def run_command(words, folder):
                 GIVEN[name](folder / name)
         assert main(fast(words[1:])) in VERDICTS.get(words[1], (0,)), words
     elif words[:2] == ["pip", "install"]:
-        extras = re.findall(r"\[(.*)\]", words[2])
+        extras = re.findall(r"\[(.*)\]", words[-1])
         assert set(",".join(extras).split(",")) <= EXTRAS.keys(), words
-    elif words[:2] == ["python", "-m"]:
+    elif words[1:2] == ["-m"] and words[0] in ("python", "python3"):
         assert importlib.util.find_spec(words[2]), words
     elif words[0] == "python":
         assert (ROOT / words[1]).exists(), words
     else:
-        assert words[0] in ("pytest", "jupyter", "cd", "git"), words
+        assert words[0] in ("pytest", "jupyter", "cd", "git", "."), words
 
 
 def run_python(text, folder, known):

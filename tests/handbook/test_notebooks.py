@@ -1,11 +1,13 @@
 """Every notebook runs from top to bottom, with few rays, and is kept without output."""
 
 import ast
+import copy
 import re
 from pathlib import Path
 
 import pytest
 
+paper_page = pytest.importorskip("paper_page")
 nbformat = pytest.importorskip("nbformat")
 matplotlib = pytest.importorskip("matplotlib")
 pytest.importorskip("matplotlib.pyplot")
@@ -78,3 +80,24 @@ def test_notebook_runs(path, monkeypatch, tmp_path):
     else:
         matplotlib.use("Agg")
         assert pictures_here(notebook)
+
+
+def stale(page, notebook, figures):
+    """Texts of the notebook that its page lacks, and figures that only one of them has.
+
+    The page is made at a release by `paper_page`, and kept.
+    """
+    lacking = [text for text in paper_page.markdown(notebook) if text not in page]
+    named = set(re.findall(r"\]\(images/paper/(.*)\)", page))
+    return lacking + sorted(named ^ figures)
+
+
+def test_the_page_of_the_paper_is_of_its_notebook():
+    notebook = nbformat.read(paper_page.NOTEBOOK, as_version=4)
+    page = paper_page.PAGE.read_text(encoding="utf-8")
+    figures = {path.name for path in paper_page.FIGURES.iterdir()}
+    assert stale(page, notebook, figures) == []
+    changed = copy.deepcopy(notebook)
+    changed.cells[1].source += " More."
+    assert stale(page, changed, figures) == [changed.cells[1].source]
+    assert stale(page, notebook, figures - {"01.png"}) == ["01.png"]

@@ -19,6 +19,8 @@ def test_the_version_is_cited_and_has_an_entry():
     assert f"\n## {version}\n" in changes
     recipe = (ROOT / ".github" / "conda" / "recipe.yaml").read_text(encoding="utf-8")
     assert f"\n  version: {version}\n" in recipe
+    page = (ROOT / "notebooks" / "paper.md").read_text(encoding="utf-8")
+    assert f"gonio-mi {version}, " in page.splitlines()[-2]
 
 
 def broken(text):
