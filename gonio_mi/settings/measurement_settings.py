@@ -259,7 +259,8 @@ class MeasurementSettings:
         "full",
         checked_footprint,
         Kind.WORD_OR_NUMBER,
-        "Where light lands on the top of the specimen: ``full`` (all over it), "
+        "Where light lands on the top of the specimen: ``full`` (all over it; of a "
+        "solid without a period, its whole outline as seen from the emitter), "
         "``point`` (in its middle), or the radius of a disk about the middle, in scene "
         "units.",
         group=LIGHT,

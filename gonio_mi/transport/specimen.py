@@ -11,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..array_types import Integers
+from ..array_types import Floats, Integers
 from ..errors import SpecimenError, abridged, warn
 from ..mitsuba_compat import MINIMAL, SURFACE
 from ..settings.values import Period
@@ -292,7 +292,8 @@ class Specimen:
 
         Of a few thousand rays to points all over the box, all that are vertical meet an
         open surface, and some of the others meet it from behind: a height field, or a
-        pane without walls, and no solid. None for a flat rectangle, and in a cell.
+        pane without walls, and no solid. A tube without ends is closed: along two axes
+        all rays meet its one side. None for a flat rectangle, and in a cell.
         """
         if self.periodic or self.plane is not None:
             return None
@@ -307,7 +308,22 @@ class Specimen:
         behind = si.is_valid() & (dr.dot(si.n, d) > 0)
         covered = self.scene.ray_test(mi.Ray3f(aim - size * down, down))
         dr.eval(behind, covered)  # by one kernel
-        return "open" if dr.any(behind) and dr.all(covered) else "closed"
+        if not (dr.any(behind) and dr.all(covered)):
+            return "closed"
+        around = sum(self._is_closed_along(axis, aim) for axis in np.eye(3)) > 1
+        return "closed" if around else "open"
+
+    def _is_closed_along(self, axis: Floats, aim: mi.Point3f) -> bool:
+        """Whether rays to and fro along an axis all meet one side of surfaces."""
+        cosines, (size,) = [], in_memory([self.size])
+        for end in (axis, -axis):
+            d = mi.Vector3f(in_memory(end))  # one kernel for all axes
+            ray = mi.Ray3f(aim - size * d, d)
+            si = intersect(self.scene, ray, MINIMAL, True)
+            cosines.append(dr.select(si.is_valid(), dr.dot(si.n, d), 0.0))
+        dr.eval(cosines)
+        signs = np.sign(cosines)
+        return bool(np.all(signs < 0) or np.all(signs > 0))
 
     @cached_property
     def is_height_map(self) -> bool:

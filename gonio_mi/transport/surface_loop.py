@@ -47,7 +47,7 @@ def scatter_plane(
     settings: PathSettings,
 ) -> Exits:
     """Scatter every ray once where it lands on the plane; exact without ray tracing."""
-    p, wi, _, weight = beam.sample(sampler, wavelengths)
+    p, wi, _, _, weight = beam.sample(sampler, wavelengths)
     power = emitted(weight, sampler, settings.analog, beam.uniform)
     lit = dr.any(power > 0)
     if beam.footprint == "point":
@@ -183,9 +183,9 @@ def sent(
     They start just above the footprint, to which nothing stands in the way; grazing,
     that may be above the next cell.
     """
-    p, wi, distance, weight = beam.sample(sampler, wavelengths)
+    p, wi, cosine, distance, weight = beam.sample(sampler, wavelengths)
     β = emitted(weight, sampler, counted, beam.uniform)
-    start = dr.minimum(distance, specimen.box.reach * START / dr.abs(wi.z))
+    start = dr.minimum(distance, specimen.box.reach * START / cosine)
     ray = mi.Ray3f(p + start * wi, -wi)
     ray.wavelengths = wavelengths
     return ray, β

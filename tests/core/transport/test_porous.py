@@ -344,7 +344,9 @@ def test_show_tells_direct_light_apart_and_files_keep_it(tmp_path):
     assert finite.direct == 0
     assert finite.ledger.missed > 0
     assert "give a period" in said(finite)
-    assert "smaller footprint" in said(finite)
+    assert "smaller footprint" not in said(finite)
+    disk = measured(*SPECIMENS["grid"], period="none", footprint=2.0)
+    assert "smaller footprint" in said(disk)
 
 
 def test_plot_says_order_and_period():
