@@ -386,7 +386,9 @@ class MeasurementSettings:
         Kind.WORD_OR_NUMBER,
         "``box`` makes the specimen's bounding box one cell of an infinite surface, "
         "without edges. Numbers such as ``2,3`` are the extents of that cell in x and "
-        "y, about the middle of the box. The cell is the specimen: light that "
+        "y, about the middle of the box; geometry that is wider than its cell, as the "
+        "slats of a closed blind, reaches into the next ones. The cell is the "
+        "specimen: light that "
         "passes its openings is incident and transmitted, straight on; beside a finite "
         "specimen, light is ``missed`` and not incident.",
         group=EVENTS,

@@ -24,7 +24,7 @@ from .beam import Beam
 from .exits import exits_of
 from .layers import Layers
 from .media import differ_by_channel
-from .rays import Encounter, Flight, encounter, flight_from, intersect, proceed
+from .rays import Encounter, Flight, encounter, flight_from, nearest, proceed
 from .specimen import Specimen
 from .surface_events import (
     after_event,
@@ -176,7 +176,7 @@ class Geometry:
         long: each is looked for by itself.
         """
         ray = flight.ray
-        si = intersect(self.specimen.scene, ray, PARTIALS, active)
+        si = nearest(self.specimen, ray, PARTIALS, active)
         met = encounter(self.specimen, self.side, flight, si, active)
         across = mi.Vector2f(ray.d.x, ray.d.y)
         path = met.entry + met.step - ray.o

@@ -14,7 +14,7 @@ from .beam import Beam
 from .exits import Exits, exits_of
 from .plane import Plane, repeated
 from .polarisation import in_instrument_frames, new_light
-from .rays import START, encounter, flight_from, intersect, proceed
+from .rays import START, encounter, flight_from, nearest, proceed
 from .specimen import Specimen
 from .surface_events import (
     after_event,
@@ -97,7 +97,6 @@ def trace(
     else:
         flight, power = begun
     β = new_light(power)
-    scene = specimen.scene
     analog, roulette = settings.analog, settings.roulette
     max_depth = dr.opaque(mi.UInt32, settings.max_depth)
     rr_depth = dr.opaque(mi.UInt32, settings.rr_depth)
@@ -120,7 +119,7 @@ def trace(
         deposits.subtract_facets(flight.ray, active)
     while active:
         ray = flight.ray
-        si = intersect(scene, ray, PARTIALS, active, (depth == 0) & together)
+        si = nearest(specimen, ray, PARTIALS, active, (depth == 0) & together)
 
         # ------------------- Rays that leave, or have had enough events ---------------
         met = encounter(specimen, beam.side, flight, si, active)
