@@ -93,7 +93,10 @@ def found_facets(specimen: Specimen, points: int, blocks: int, seed: int) -> Fac
         )
     area = np.repeat(areas / numbers, numbers) * there
     low, extent = specimen.low[:2], (specimen.high - specimen.low)[:2]
-    cell = np.clip((p[:, :2] - low) / extent * blocks, 0, blocks - 1).astype(int)
+    place = (p[:, :2] - low) / extent
+    if len(specimen.shifts) > 1:
+        place %= 1
+    cell = np.clip(place * blocks, 0, blocks - 1).astype(int)
     n = np.array(si.n, dtype=float).T
     return Facets(si, n, area, cell[:, 0] * blocks + cell[:, 1])
 

@@ -34,8 +34,11 @@ PASSED = {
 MISSED = (
     "missed the specimen; they are not part of the incident flux: if it stands for a "
     "larger surface with openings, give a period (--period box), which counts them as "
-    "transmitted; if these are its edges, take a smaller footprint (--footprint)"
+    "transmitted"
 )
+
+# And where the footprint is not the outline of a solid.
+AT_EDGES = "; if these are its edges, take a smaller footprint (--footprint)"
 
 # And what rays over an edge do that may be none.
 OVER_THE_EDGE = (
@@ -355,8 +358,11 @@ def _lost_light(record: Record, exceeds: Callable[[str], bool]) -> list[str]:
             f"{_share(ledger.truncated, ledger)} were truncated by {limits}; their "
             "flux is in no patch"
         )
-    rows = {"sideways": "left sideways, into no patch", "missed": MISSED}
-    if record.provenance.edges == "open":
+    edges = record.provenance.edges
+    outlined = edges == "closed" and record.asked.footprint == "full"
+    missed = MISSED if outlined else MISSED + AT_EDGES
+    rows = {"sideways": "left sideways, into no patch", "missed": missed}
+    if edges == "open":
         rows["over_the_edge"] = OVER_THE_EDGE
     return sentences + _excessive_rows(ledger, exceeds, rows)
 

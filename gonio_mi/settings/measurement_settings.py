@@ -234,7 +234,8 @@ class MeasurementSettings:
         "full",
         checked_footprint,
         Kind.WORD_OR_NUMBER,
-        "Where light lands on the top of the specimen: ``full`` (all over it), "
+        "Where light lands on the top of the specimen: ``full`` (all over it; of a "
+        "solid without a period, its whole outline as seen from the emitter), "
         "``point`` (in its middle), or the radius of a disk about the middle, in scene "
         "units.",
         group=LIGHT,
@@ -360,7 +361,9 @@ class MeasurementSettings:
         Kind.WORD_OR_NUMBER,
         "``box`` makes the specimen's bounding box one cell of an infinite surface, "
         "without edges. Numbers such as ``2,3`` are the extents of that cell in x and "
-        "y, about the middle of the box. The cell is the specimen: light that "
+        "y, about the middle of the box; geometry that is wider than its cell, as the "
+        "slats of a closed blind, reaches into the next ones. The cell is the "
+        "specimen: light that "
         "passes its openings is incident and transmitted, straight on; beside a finite "
         "specimen, light is ``missed`` and not incident.",
         group=EVENTS,

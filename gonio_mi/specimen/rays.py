@@ -64,6 +64,55 @@ def intersect(
     return with_normal(scene.ray_intersect(ray, flags | FRAME, coherent, active))
 
 
+def nearest(
+    specimen: Any,
+    ray: mi.Ray3f,
+    flags: int,
+    active: mi.Bool,
+    coherent: mi.Bool | bool = False,
+) -> mi.SurfaceInteraction3f:
+    """:func:`intersect` of rays inside of a cell with all that reaches into it."""
+    if specimen.box.shifts is None:
+        return intersect(specimen.scene, ray, flags, active, coherent)
+    return _of_copies(specimen, ray, flags, active, coherent)
+
+
+@dr.syntax
+def _of_copies(
+    specimen: Any, ray: mi.Ray3f, flags: int, active: mi.Bool, coherent: Any
+) -> mi.SurfaceInteraction3f:
+    """The nearest of what rays meet in the copies of the geometry, each a shift away.
+
+    Up to just beyond the sides of the cell: what is within rounding of a side is met on
+    this side of it, and not lost between two cells.
+    """
+    box, scene = specimen.box, specimen.scene
+    beyond = box.reach * NEARBY
+    low, high, o, d = box.low, box.high, ray.o, ray.d
+    t_x = exit_distance(low[0] - beyond, high[0] + beyond, o.x, d.x)
+    t_y = exit_distance(low[1] - beyond, high[1] + beyond, o.y, d.y)
+    best = dr.zeros(mi.PreliminaryIntersection3f)
+    met = mi.Bool(False)
+    here = mi.Ray3f(ray)
+    here.maxt = dr.minimum(t_x, t_y)
+    shift = mi.Vector3f(0)
+    i = mi.UInt32(0)
+    while i < box.n_shifts:
+        step = dr.gather(mi.Vector3f, box.shifts, i)
+        here.o = ray.o - step
+        found = scene.ray_intersect_preliminary(here, coherent, active)
+        nearer = active & found.is_valid()
+        best = dr.select(nearer, found, best)
+        shift = dr.select(nearer, step, shift)
+        here.maxt = dr.select(nearer, found.t, here.maxt)
+        met |= nearer
+        i += 1
+    here.o = ray.o - shift
+    si = best.compute_surface_interaction(here, flags | FRAME, active & met)
+    si.p += shift
+    return with_normal(si)
+
+
 def with_normal(si: mi.SurfaceInteraction3f) -> mi.SurfaceInteraction3f:
     """The interaction, its geometric normal on the side of the shading normal."""
     si.n = dr.select(dr.dot(si.n, si.sh_frame.n) < 0, -si.n, si.n)
@@ -331,9 +380,8 @@ def escapes(
     flight = flight_from(specimen, ray, n, offset)
     free = mi.Bool(False)
     flying = mi.Bool(active)
-    scene = specimen.scene
     while flying:
-        si = intersect(scene, flight.ray, MINIMAL, flying)
+        si = nearest(specimen, flight.ray, MINIMAL, flying)
         met = encounter(specimen, side, flight, si, flying)
         free |= met.missed & ~met.crosses & ~met.endless
         proceed(specimen, flight, si, met)

@@ -11,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..array_types import Integers
+from ..array_types import Flags, Floats, Integers
 from ..errors import SpecimenError, abridged, warn
 from ..kernels import in_memory
 from ..mitsuba_compat import MINIMAL, SURFACE
@@ -44,6 +44,9 @@ MAX_THIN = 2.0**-9
 # Characters of a BSDF's description in the record: nested ones of principled have 1500.
 MAX_DESCRIPTION = 4000
 
+# Copies of geometry wider than its cell that rays look for in one cell.
+MAX_COPIES = 121
+
 # Extents in scene units that rays find their way in. In a box from -MAX_COORDINATE to
 # MAX_COORDINATE the product of four lengths, 2^128, exceeds single precision. As
 # measured, glass 4.2e9 wide has the bits of a small slab; from 8.4e9 rays find no way
@@ -68,6 +71,10 @@ class Box:
     period, per_period : list of mi.Float
         Extents in x and y, and their reciprocals.
     reach, detail : mi.Float
+    shifts : mi.Float or None
+        Of the copies that reach into a cell, three numbers each; None of a cell that
+        holds its geometry, and without one.
+    n_shifts : mi.UInt32
     """
 
     def __init__(self, specimen: Specimen) -> None:
@@ -79,6 +86,11 @@ class Box:
             in_memory(lengths) for lengths in (low, high, period, per_period)
         )
         self.reach, self.detail = in_memory([specimen.reach, specimen.detail])
+        self.shifts: Any = None
+        if len(specimen.shifts) > 1:
+            self.shifts = mi.Float(specimen.shifts.ravel().tolist())
+            self.n_shifts = dr.opaque(mi.UInt32, len(specimen.shifts))
+            dr.make_opaque(self.shifts)
 
 
 class Specimen:
@@ -91,7 +103,7 @@ class Specimen:
         ``"none"``: the geometry is all there is. ``"box"``: its bounding box is a cell
         of an infinite surface, and what leaves through a side of it enters again
         through the opposite one. Extents in x and y: the same with a cell of that size
-        about the middle of the box.
+        about the middle of the box; geometry beyond it reaches into the next ones.
     name : str
         What its user calls it.
 
@@ -112,6 +124,8 @@ class Specimen:
         The same for kernels.
     periodic : bool
         Whether there is one.
+    shifts : ndarray, shape (n, 3)
+        From the geometry to each of its copies that reach into the cell.
     plane : Plane or None
         Set if the specimen is one flat rectangle, not periodic and without a medium.
     description : str
@@ -126,7 +140,7 @@ class Specimen:
     ------
     SpecimenError
         If there is no shape, something that the instrument does not model, or a cell
-        that is smaller than the geometry.
+        into which too many copies of the geometry reach.
     """
 
     def __init__(
@@ -154,6 +168,7 @@ class Specimen:
                 f"the specimen must be of finite size, got {self.low} to {self.high}"
             )
         self.periodic = period != "none"
+        self.shifts = np.zeros((1, 3))
         if self.periodic:
             self._set_cell(period)
             self._check_walls()
@@ -188,13 +203,15 @@ class Specimen:
     @property
     def reach(self) -> float:
         """Largest coordinate of the bounding box, the unit of rounding errors."""
-        return float(np.abs([self.low, self.high]).max())
+        own = float(np.abs([self.low, self.high]).max())
+        return own + float(np.abs(self.shifts).max())
 
     @property
     def detail(self) -> float:
-        """Smallest extent of the bounding box that is not 0."""
+        """Smallest extent of the bounding box that is not 0, and the furthest shift."""
         extents = self.high - self.low
-        return float(extents[extents > 1e-6 * extents.max()].min())
+        least = float(extents[extents > 1e-6 * extents.max()].min())
+        return least + float(np.abs(self.shifts).max())
 
     @property
     def transmission(self) -> str:
@@ -294,7 +311,8 @@ class Specimen:
 
         Of a few thousand rays to points all over the box, all that are vertical meet an
         open surface, and some of the others meet it from behind: a height field, or a
-        pane without walls, and no solid. None for a flat rectangle, and in a cell.
+        pane without walls, and no solid. A tube without ends is closed: along two axes
+        all rays meet its one side. None for a flat rectangle, and in a cell.
         """
         if self.periodic or self.plane is not None:
             return None
@@ -309,12 +327,27 @@ class Specimen:
         behind = si.is_valid() & (dr.dot(si.n, d) > 0)
         covered = self.scene.ray_test(mi.Ray3f(aim - size * down, down))
         dr.eval(behind, covered)  # by one kernel
-        return "open" if dr.any(behind) and dr.all(covered) else "closed"
+        if not (dr.any(behind) and dr.all(covered)):
+            return "closed"
+        around = sum(self._is_closed_along(axis, aim) for axis in np.eye(3)) > 1
+        return "closed" if around else "open"
+
+    def _is_closed_along(self, axis: Floats, aim: mi.Point3f) -> bool:
+        """Whether rays to and fro along an axis all meet one side of surfaces."""
+        cosines, (size,) = [], in_memory([self.size])
+        for end in (axis, -axis):
+            d = mi.Vector3f(in_memory(end))  # one kernel for all axes
+            ray = mi.Ray3f(aim - size * d, d)
+            si = intersect(self.scene, ray, MINIMAL, True)
+            cosines.append(dr.select(si.is_valid(), dr.dot(si.n, d), 0.0))
+        dr.eval(cosines)
+        signs = np.sign(cosines)
+        return bool(np.all(signs < 0) or np.all(signs > 0))
 
     @cached_property
     def is_height_map(self) -> bool:
         """Whether it is one mesh of heights over all of a periodic cell."""
-        if not self.periodic or len(self.scene.shapes()) > 1:
+        if len(self.shifts) > 1 or not self.periodic or len(self.scene.shapes()) > 1:
             return False
         return is_height_map(self.surfaces[0], self.box.low, self.box.high)
 
@@ -360,16 +393,33 @@ class Specimen:
         """Put the cell's sides into the place of the bounding box's."""
         extent = (self.high - self.low)[:2]
         cell: Any = extent if period == "box" else np.array(period)
-        if np.any(cell < extent * (1 - 2.0**-20)):
-            raise SpecimenError(
-                "period must hold the geometry, which is "
-                f"{extent[0]:g} x {extent[1]:g}, got {cell[0]:g} x {cell[1]:g}"
-            )
+        wide = cell < extent * (1 - 2.0**-20)
+        if np.any(wide):
+            self._set_copies(extent, cell, wide)
         # where cell and geometry are equal, to the bit
-        cell = np.where(cell < extent * (1 + 2.0**-20), extent, cell)
+        alike = ~wide & (cell < extent * (1 + 2.0**-20))
+        cell = np.where(alike, extent, cell)
         margin = (cell - extent) / 2
         self.low[:2] -= margin
         self.high[:2] += margin
+
+    def _set_copies(self, extent: Floats, cell: Floats, wide: Flags) -> None:
+        """Set the shifts of the copies that reach into the cell or touch it."""
+        if not all(medium.is_homogeneous() for medium in self.media):
+            raise SpecimenError(
+                "period must hold the geometry of a medium that varies, which is "
+                f"{extent[0]:g} x {extent[1]:g}, got {cell[0]:g} x {cell[1]:g}"
+            )
+        most = np.where(wide, np.floor((extent / cell + 1 + 2.0**-12) / 2), 0)
+        n = int(np.prod(2 * most + 1))
+        if n > MAX_COPIES:
+            raise SpecimenError(
+                f"period must be so large that at most {MAX_COPIES} copies of the "
+                f"geometry, which is {extent[0]:g} x {extent[1]:g}, reach into a cell, "
+                f"got {cell[0]:g} x {cell[1]:g} and {n} copies"
+            )
+        x, y = (size * np.arange(-k, k + 1) for size, k in zip(cell, most))
+        self.shifts = np.array([(a, b, 0.0) for a in x for b in y])
 
     def _plane(self, shapes: Sequence[mi.Shape]) -> Plane | None:
         """:class:`Plane` if the specimen is a single rectangle parallel to z = 0."""

@@ -18,6 +18,7 @@ from ..kernels import in_memory
 from ..specimen.specimen import Specimen
 from ..specimen.wavelengths import passes, wavelength_lanes
 from .collector_sphere import DRJIT
+from .outline import Outline
 from .polarisation import power_of
 from .sampling import is_joint
 
@@ -33,9 +34,15 @@ BORDER_MARGIN = 2.0**-14
 MAX_SPOT_CONTRAST = 2.0**10
 MAX_SPOT = 2.0**20
 
+# Part of the rays that each face of a solid's box gets at least that may be lit, in
+# units of the mean: what its own points did not see is not lost.
+MIN_SHARE = 1 / 64
+
 
 class Beam:
-    """Rays from an emitter to the footprint on the plane of the specimen's top.
+    """Rays from an emitter to the footprint: on the plane of the specimen's top.
+
+    Of a solid they start on all lit faces of its bounding box.
 
     Parameters
     ----------
@@ -45,7 +52,9 @@ class Beam:
         ``sample_direction``.
     footprint : str or float
         ``"point"``: the middle of the bounding box's top. ``"full"``: all of that top,
-        uniformly. A number: a disk of that radius about the middle.
+        uniformly; or the silhouette of the box, if the specimen is a solid: without a
+        period, and its `edges` closed. A number: a disk of that radius about the
+        middle.
     emission : {"radiometric", "equal_power"}
         ``"radiometric"`` weights a ray by radiance, cosines and distance, as light is.
         ``"equal_power"`` is the paper's section 2.2: uniform points on emitter and
@@ -90,6 +99,9 @@ class Beam:
         if self.side < 0:
             self.middle[2] = low[2]
         self._middle = mi.Point3f(in_memory(self.middle))
+        self.outline: Any = None
+        if footprint == "full" and low[2] < high[2] and specimen.edges == "closed":
+            self.outline = Outline(specimen, self.side)
         radii = self.half if isinstance(footprint, str) else (footprint, footprint)
         self._radii = in_memory(radii)
         self.divergence = divergence
@@ -98,7 +110,12 @@ class Beam:
             (self._cap,) = in_memory([2 * np.sin(np.radians(divergence) / 2) ** 2])
         self.incident: Any = incident
         self._aim()
-        self._reference = None if self.uniform else self._power_counted_as_one(nm)
+        if self.uniform:
+            self._reference = None
+        elif self.outline is None:
+            self._reference = self._power_counted_as_one(nm)
+        else:
+            self._reference = self._share_faces(nm)
 
     def turned(self, direction: Floats) -> Beam:
         """The same collimated beam from another direction, on the same side."""
@@ -128,6 +145,27 @@ class Beam:
             patch = int(self.incident.patch(self.direction))
             self._patch = self.incident.frame_of(patch)
         self._frame = in_memory(self._patch)
+        # of a solid's box, for rays of equal power from different directions
+        self._most = in_memory([self._largest()] if self._spreads else [])
+
+    @property
+    def _spreads(self) -> bool:
+        """Whether collimated light on a solid comes from more than one direction."""
+        spread = self.divergence or self.incident is not None
+        return self.outline is not None and self.collimated and bool(spread)
+
+    def _largest(self) -> float:
+        """Area of a solid's outline from any direction of a beam that spreads, at most.
+
+        Of a patch over the cosine, in proportion to which it is filled.
+        """
+        if self.incident is None:
+            near, far = self.theta_i - self.divergence, self.theta_i + self.divergence
+            ends = np.radians([max(near, 0), far])
+            return float(self.outline.most(np.cos(ends[0]), np.sin(ends[1])))
+        corners = np.meshgrid(*[[BORDER_MARGIN, 1 - BORDER_MARGIN]] * 2)
+        cosine = self.incident.drawn(np, self._patch, *corners)[2].min()
+        return float(self.outline.most(1, np.sqrt(1 - cosine**2) / cosine))
 
     @property
     def uniform(self) -> bool:
@@ -157,7 +195,7 @@ class Beam:
 
     def sample(
         self, sampler: mi.Sampler, wavelengths: mi.Spectrum
-    ) -> tuple[mi.Point3f, mi.Vector3f, mi.Float, mi.UnpolarizedSpectrum]:
+    ) -> tuple[mi.Point3f, mi.Vector3f, mi.Float, mi.Float, mi.UnpolarizedSpectrum]:
         """Draw one ray per lane.
 
         Returns
@@ -166,21 +204,50 @@ class Beam:
             Point of the footprint.
         wi : mi.Vector3f
             Unit vector from there to the emitter, in world coordinates.
+        cosine : mi.Float
+            Of it to the normal of the footprint, or of the face of a solid's box.
         distance : mi.Float
             To the emitter.
         weight : mi.UnpolarizedSpectrum
             Power of the ray, 1 on average over the beam; 0 where nothing is emitted.
         """
-        p = self._point(sampler)
+        place = None if self.outline is None else sampler.next_2d()
+        p = self._point(sampler) if place is None else None
         if self.collimated:
             wi = self.wi
             if self.divergence:
                 wi = self._diverging(sampler.next_2d())
             elif self.incident is not None:
                 wi = self._filling(sampler.next_2d())
-            return p, wi, mi.Float(dr.inf), mi.UnpolarizedSpectrum(1.0)
-        wi, distance, weight = self._towards(p, sampler.next_2d(), wavelengths)
-        return p, wi, distance, weight / self._reference
+            cosine = dr.abs(wi.z)
+            if place is not None:
+                p, cosine = self._onto_faces(place, wi)
+            return p, wi, cosine, mi.Float(dr.inf), mi.UnpolarizedSpectrum(1.0)
+        n, gain = None, mi.Float(1)
+        if place is not None:
+            p, n, number, _ = self.outline.drawn(place, self._shares, self._total)
+            gain = dr.gather(mi.Float, self._gains, number)
+        sample = sampler.next_2d()
+        wi, distance, weight = self._towards(p, sample, wavelengths, n)
+        cosine = dr.abs(wi.z if n is None else dr.dot(wi, n))
+        return p, wi, cosine, distance, weight * (gain / self._reference)
+
+    def _onto_faces(
+        self, sample: mi.Point2f, wi: mi.Vector3f
+    ) -> tuple[mi.Point3f, mi.Float]:
+        """Points all over the silhouette of a solid's box, and cosines to its faces."""
+        widths = self.outline.widths(wi)
+        total = sum(widths)
+        if self._spreads:
+            total = (
+                self._most[0] if self.incident is None else self._most[0] * dr.abs(wi.z)
+            )
+        p, n, _, beside = self.outline.drawn(sample, widths, total)
+        cosine = dr.dot(wi, n)
+        if self._spreads:
+            away = self.outline.beside(wi, self.specimen.box.reach)
+            p, cosine = dr.select(beside, away, p), dr.select(beside, 1.0, cosine)
+        return p, cosine
 
     def in_lanes(self, beams: Sequence[Beam], number: mi.UInt32) -> Beam:
         """Collimated beam that has in each lane the direction of one of several.
@@ -196,6 +263,8 @@ class Beam:
         joint.wi = mi.Vector3f(*_looked_up([beam.direction for beam in beams], number))
         if self.incident is not None:
             joint._frame = _looked_up([beam._patch for beam in beams], number)
+        if self._spreads:
+            joint._most = _looked_up([[x[0] for x in b._most] for b in beams], number)
         return joint
 
     def _check_divergence(self) -> None:
@@ -248,9 +317,16 @@ class Beam:
         return self._middle + mi.Vector3f(x * offset.x, y * offset.y, 0)
 
     def _towards(
-        self, p: mi.Point3f, sample: mi.Point2f, wavelengths: mi.Spectrum
+        self,
+        p: mi.Point3f,
+        sample: mi.Point2f,
+        wavelengths: mi.Spectrum,
+        n: mi.Vector3f | None = None,
     ) -> tuple[mi.Vector3f, mi.Float, mi.UnpolarizedSpectrum]:
-        """Direction, distance and unnormalised weight from `p` to the emitter."""
+        """Direction, distance and unnormalised weight from `p` to the emitter.
+
+        `n`: normal of the face there, if it is not the footprint's own.
+        """
         it = dr.zeros(mi.SurfaceInteraction3f)
         it.p, it.wavelengths = p, wavelengths
         if self.emission == "equal_power" and self.emitter.get_shape() is not None:
@@ -270,6 +346,9 @@ class Beam:
                 weight = mi.UnpolarizedSpectrum(1.0)
         cosine = self.side * wi.z
         lit &= cosine > 0
+        if n is not None:
+            cosine = dr.dot(n, wi)
+            lit &= cosine > 0
         if self.emission == "radiometric":
             weight = weight * cosine
         return wi, distance, dr.select(lit, weight, 0.0)
@@ -295,8 +374,13 @@ class Beam:
 
     def _centre(self) -> Numbers:
         """Middle of the emitter's bounding box."""
+        low, high = self._box()
+        return (low + high) / 2
+
+    def _box(self) -> tuple[Numbers, Numbers]:
+        """Corners of the emitter's bounding box."""
         box = self.emitter.bbox()
-        return (np.array(box.min) + np.array(box.max)).ravel() / 2
+        return np.array(box.min).ravel(), np.array(box.max).ravel()
 
     def _power_counted_as_one(self, nm: tuple[float, ...] | None) -> float:
         """Power that counts as 1: about the mean over the beam, a power of two.
@@ -305,18 +389,56 @@ class Beam:
         or if the spot under a small near emitter is so much brighter that single rays
         would exceed what the tally holds.
         """
-        grid = mi.UInt32(dr.arange(mi.UInt32, N_GRID * N_GRID))
-        x, y = mi.Float(grid % N_GRID), mi.Float(grid // N_GRID)
-        sample = (mi.Point2f(x, y) + 0.5) / N_GRID
+        sample = _grid()
         powers = self._mean_weights(mi.Point3f(self.middle.tolist()), sample, nm)
         unit = powers.mean()
         spot = self._mean_weights(self._nearest(), sample, nm).mean()
         if self.footprint != "point" and (unit == 0 or spot > MAX_SPOT_CONTRAST * unit):
-            # a low-discrepancy sequence all over it (Roberts 2018)
-            places = mi.Point2f(mi.Float(grid) * 0.7548777, mi.Float(grid) * 0.5698403)
-            places -= dr.floor(places)
-            powers = self._mean_weights(self._spread(places), sample, nm)
+            powers = self._mean_weights(self._spread(_places()), sample, nm)
             unit = max(powers.mean(), spot / MAX_SPOT)
+        return self._checked_unit(powers, unit, nm)
+
+    def _share_faces(self, nm: tuple[float, ...] | None) -> float:
+        """Share rays among the faces of a solid's box; the power that counts as 1.
+
+        In proportion to the power that each gets; of equal power, to their areas as
+        seen from the middle of the emitter.
+        """
+        outline, equal = self.outline, self.emission == "equal_power"
+        near = not self.emitter.is_environment()
+        sizes = outline.areas
+        if near:
+            sizes = sizes * outline.faces_any_of(*self._box())
+        if equal and self.direction is not None:
+            sizes = sizes * np.maximum(outline.normals @ self.direction, 0)
+        places = _places()
+        faces = [outline.on_face(places, dr.opaque(mi.UInt32, i)) for i in range(5)]
+        means = np.array([self._mean_weights(p, _grid(), nm, n) for p, n in faces])
+        shares = sizes
+        if not equal:
+            powers = sizes * means.mean(axis=1)
+            shares = np.maximum(powers, powers.mean() * MIN_SHARE) * (sizes > 0)
+        shares = shares / max(shares.sum(), np.finfo(float).tiny)
+        gains = np.ones(5)
+        if not equal:
+            gains = np.divide(sizes, shares, out=np.zeros(5), where=shares > 0)
+        powers = (shares * gains) @ means
+        unit = powers.mean()
+        if near and not equal:
+            spots = outline.nearest(self._centre())
+            each = [self._mean_weights(p, _grid(), nm, n).mean() for p, n in spots]
+            unit = max(unit, (gains * each).max() / MAX_SPOT)
+        self._shares, (self._total,) = in_memory(shares), in_memory([shares.sum()])
+        self._gains = mi.Float(gains.tolist())
+        return self._checked_unit(powers, unit, nm)
+
+    def _checked_unit(
+        self, powers: Floats, unit: float, nm: tuple[float, ...] | None
+    ) -> float:
+        """Power of two that is near `unit`; SpecimenError if there is no light.
+
+        `powers`: in each channel.
+        """
         dark = [x for x, power in zip(nm or (), powers) if not power > 0]
         if dark or not unit > 0:
             at = f" at {dark[0]:g} nm" if dark else ""
@@ -325,15 +447,19 @@ class Beam:
                 "got no light on the footprint"
             )
         # a power of two divides exactly
-        return 2.0 ** np.round(np.log2(unit))
+        return float(2.0 ** np.round(np.log2(unit)))
 
     def _mean_weights(
-        self, p: mi.Point3f, sample: mi.Point2f, nm: tuple[float, ...] | None
+        self,
+        p: mi.Point3f,
+        sample: mi.Point2f,
+        nm: tuple[float, ...] | None,
+        n: mi.Vector3f | None = None,
     ) -> Floats:
         """Mean weight of rays from `p`, of each channel: of each of `nm`, if any."""
         weights = []
         for part in passes(nm):
-            weight = self._towards(p, sample, wavelength_lanes(part))[2]
+            weight = self._towards(p, sample, wavelength_lanes(part), n)[2]
             means = np.array(weight, dtype=float).reshape(len(weight), -1).mean(axis=1)
             weights += means[: None if part is None else len(part)].tolist()
         return np.array(weights)
@@ -349,6 +475,20 @@ class Beam:
         nearest = self.middle.copy()
         nearest[:2] += np.clip((self._centre() - self.middle)[:2], -radius, radius)
         return mi.Point3f(nearest.tolist())
+
+
+def _grid() -> mi.Point2f:
+    """Points all over the unit square, in rows."""
+    grid = mi.UInt32(dr.arange(mi.UInt32, N_GRID * N_GRID))
+    x, y = mi.Float(grid % N_GRID), mi.Float(grid // N_GRID)
+    return (mi.Point2f(x, y) + 0.5) / N_GRID
+
+
+def _places() -> mi.Point2f:
+    """As many of a low-discrepancy sequence (Roberts 2018)."""
+    number = mi.Float(dr.arange(mi.UInt32, N_GRID * N_GRID))
+    places = mi.Point2f(number * 0.7548777, number * 0.5698403)
+    return places - dr.floor(places)
 
 
 def _looked_up(rows: Sequence[Any], number: mi.UInt32) -> list[mi.Float]:

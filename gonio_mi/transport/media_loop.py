@@ -26,7 +26,7 @@ from ..specimen.rays import (
     Flight,
     encounter,
     flight_from,
-    intersect,
+    nearest,
     proceed,
 )
 from ..specimen.specimen import Specimen
@@ -183,7 +183,7 @@ class Geometry:
         long: each is looked for by itself.
         """
         ray = flight.ray
-        si = intersect(self.specimen.scene, ray, PARTIALS, active)
+        si = nearest(self.specimen, ray, PARTIALS, active)
         met = encounter(self.specimen, self.side, flight, si, active)
         across = mi.Vector2f(ray.d.x, ray.d.y)
         path = met.entry + met.step - ray.o

@@ -11,7 +11,7 @@ import mitsuba as mi
 from ..mitsuba_compat import PARTIALS
 from ..results.tally import Fate
 from ..specimen.plane import Plane, repeated
-from ..specimen.rays import START, encounter, flight_from, intersect, proceed
+from ..specimen.rays import START, encounter, flight_from, nearest, proceed
 from ..specimen.specimen import Specimen
 from .beam import Beam
 from .exits import Exits, exits_of
@@ -47,7 +47,7 @@ def scatter_plane(
     settings: PathSettings,
 ) -> Exits:
     """Scatter every ray once where it lands on the plane; exact without ray tracing."""
-    p, wi, _, weight = beam.sample(sampler, wavelengths)
+    p, wi, _, _, weight = beam.sample(sampler, wavelengths)
     power = emitted(weight, sampler, settings.analog, beam.uniform)
     lit = dr.any(power > 0)
     if beam.footprint == "point":
@@ -97,7 +97,6 @@ def trace(
     else:
         flight, power = begun
     β = new_light(power)
-    scene = specimen.scene
     analog, roulette = settings.analog, settings.roulette
     max_depth = dr.opaque(mi.UInt32, settings.max_depth)
     rr_depth = dr.opaque(mi.UInt32, settings.rr_depth)
@@ -120,7 +119,7 @@ def trace(
         deposits.subtract_facets(flight.ray, active)
     while active:
         ray = flight.ray
-        si = intersect(scene, ray, PARTIALS, active, (depth == 0) & together)
+        si = nearest(specimen, ray, PARTIALS, active, (depth == 0) & together)
 
         # ------------------- Rays that leave, or have had enough events ---------------
         met = encounter(specimen, beam.side, flight, si, active)
@@ -183,9 +182,9 @@ def sent(
     They start just above the footprint, to which nothing stands in the way; grazing,
     that may be above the next cell.
     """
-    p, wi, distance, weight = beam.sample(sampler, wavelengths)
+    p, wi, cosine, distance, weight = beam.sample(sampler, wavelengths)
     β = emitted(weight, sampler, counted, beam.uniform)
-    start = dr.minimum(distance, specimen.box.reach * START / dr.abs(wi.z))
+    start = dr.minimum(distance, specimen.box.reach * START / cosine)
     ray = mi.Ray3f(p + start * wi, -wi)
     ray.wavelengths = wavelengths
     return ray, β

@@ -99,7 +99,7 @@ def bare_paths(resolution: int, rows: bool) -> Callable[[int, int], float]:
             sampler = mi.load_dict({"type": "sobol"})
             sampler.seed(seed, rays)
             sampler.follow_curve()
-        p, wi, _, _ = beam.sample(sampler, mi.Color0f())
+        p, wi, *_ = beam.sample(sampler, mi.Color0f())
         ray = mi.Ray3f(p + offset * wi, -wi)
         depth, d = _bounced(specimen.scene, ray, mi.Float(offset))
         # the directions are asked for, so that the last of them are computed too

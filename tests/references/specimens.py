@@ -79,7 +79,7 @@ class Aimed:
     def sample(self, sampler, wavelengths):  # noqa: ARG002
         p, wi = mi.Point3f(self.p.T), mi.Vector3f(self.wi.tolist())
         dr.make_opaque(wi)  # one kernel for all directions
-        return p, wi, mi.Float(dr.inf), mi.Spectrum(1.0)
+        return p, wi, dr.abs(wi.z), mi.Float(dr.inf), mi.Spectrum(1.0)
 
 
 def aimed_at_edges(specimen, wi, n):

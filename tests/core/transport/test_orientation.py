@@ -63,7 +63,7 @@ def test_black_is_what_mitsuba_says(kind, mirrored, flipped, twosided):
     """And a flat top that is lit sends every ray back."""
     bsdf = both_sided(DIFFUSE) if twosided else DIFFUSE
     specimen = shape(kind, mirrored, bsdf, flip_normals=flipped)
-    record = measured(specimen, rays=2**14)
+    record = measured(specimen, rays=2**14, footprint=0.2)
     black = is_black(specimen)
     assert (record.dhr[0] == 0) == black
     assert not (black and twosided)

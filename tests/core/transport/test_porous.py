@@ -31,6 +31,7 @@ SCENES = Path(__file__).parents[3] / "scenes"
 # Parts, reflectance and incident angles.
 SPECIMENS = {
     "louver": ([Slat(1, 0.1, 0, 0.8, 30)], 0.5, 20, 200),
+    "wide slats": ([Slat(1, 0.1, 0, 2.04, 45)], 0.6, 40, 10),
     "threads": ([Bar(0, 0, 0, 0.2)], 0.8, 55, 50),
     "grid": ([Slat(1, 0, 0, 0.5, 0), Slat(0, 0, 0, 0.4, 0)], 0.7, 40, 30),
 }
@@ -344,7 +345,9 @@ def test_show_tells_direct_light_apart_and_files_keep_it(tmp_path):
     assert finite.direct == 0
     assert finite.ledger.missed > 0
     assert "give a period" in said(finite)
-    assert "smaller footprint" in said(finite)
+    assert "smaller footprint" not in said(finite)
+    disk = measured(*SPECIMENS["grid"], period="none", footprint=2.0)
+    assert "smaller footprint" in said(disk)
 
 
 def test_plot_says_order_and_period():
