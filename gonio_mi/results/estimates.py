@@ -191,6 +191,18 @@ class SampledEstimates(Estimates):
         return np.max(self.tally.sums[:, hemisphere], axis=0, initial=0) == 0
 
     @property
+    def unlike_power(self) -> bool:
+        """Whether rays carry unlike power, and batches unlike parts of it."""
+        return bool(np.any(self.tally.incident % self.tally.scale))
+
+    @property
+    def n_batches(self) -> int | Floats:
+        """Batches; of unlike power as many as are alike, per channel."""
+        if self.unlike_power:
+            return statistics.effective_batches(self.tally.incident)
+        return self.tally.n_batches
+
+    @property
     def binomial(self) -> bool:
         """Whether each patch counted independent rays of one channel, one by one."""
         tally = self.tally
@@ -261,12 +273,13 @@ class SampledEstimates(Estimates):
             hits = self.tally.hits[hemisphere][..., None]
             return statistics.binomial_std_err(hits, self._all_rays)
         sums = self.tally.sums[:, hemisphere]
-        std_err = statistics.batch_std_err(sums, self._incident)
+        std_err = statistics.batch_std_err(sums, self._incident, self.unlike_power)
         return np.where(self.dark(hemisphere), np.nan, std_err)
 
     def total_std_err(self, hemisphere: int) -> Floats:
         """Standard error of :meth:`total`."""
-        return statistics.batch_std_err(self._sum(hemisphere), self.tally.incident)
+        sums, incident = self._sum(hemisphere), self.tally.incident
+        return statistics.batch_std_err(sums, incident, self.unlike_power)
 
     def interval(self, hemisphere: int, level: float) -> tuple[Floats, Floats]:
         """Limits of :meth:`fraction`."""
@@ -332,7 +345,8 @@ class SampledEstimates(Estimates):
     @property
     def direct_std_err(self) -> Floats:
         """Standard error of `direct`."""
-        return statistics.batch_std_err(self.tally.direct, self.tally.incident)
+        direct, incident = self.tally.direct, self.tally.incident
+        return statistics.batch_std_err(direct, incident, self.unlike_power)
 
     def direct_interval(self, level: float) -> tuple[Floats, Floats]:
         """Limits of `direct`."""
@@ -404,7 +418,7 @@ class SampledEstimates(Estimates):
         open the rounding of what they carry.
         """
         unseen = statistics.upper_limit(self.rays, level)
-        rounding, n = ROUNDING * value, self.tally.n_batches
+        rounding, n = ROUNDING * value, self.n_batches
         below = np.maximum(unseen * weight, rounding)
         above = np.where(above > 0, np.maximum(unseen * above, rounding), 0.0)
         return statistics.student_interval(value, std_err, n, level, below, above)
