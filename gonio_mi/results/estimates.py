@@ -67,6 +67,11 @@ class Estimates(ABC):
         return self._all_rays // self.passes
 
     @property
+    def n_batches(self) -> int | Floats:
+        """Batches by whose scatter Student's t goes."""
+        return self.tally.n_batches
+
+    @property
     def without_hit(self) -> Flags:
         """Whether a patch is known by an upper limit only, shaped like `hits`."""
         return np.zeros(self.tally.hits.shape, bool)
@@ -200,7 +205,7 @@ class SampledEstimates(Estimates):
         """Batches; of unlike power as many as are alike, per channel."""
         if self.unlike_power:
             return statistics.effective_batches(self.tally.incident)
-        return self.tally.n_batches
+        return super().n_batches
 
     @property
     def binomial(self) -> bool:
@@ -296,7 +301,7 @@ class SampledEstimates(Estimates):
         regime = Regime.FEW * few + Regime.RARE * rare
         regime = np.where(self.dark(hemisphere), Regime.DARK, regime)
         missed = np.where(few, largest, weight) if self.deposited else weight
-        if not self.deposited and np.any(self.tally.incident % self.tally.scale):
+        if self.unlike_power and not self.deposited:
             # light of unlike power: the mean of any patch's rays, each by its power
             with np.errstate(invalid="ignore"):
                 square = np.nanmax(scatter**2 / fraction, axis=(0, 1), initial=0.0)

@@ -64,9 +64,10 @@ class MeasuredValues:
     def brdf_std_err(self) -> Floats:
         """Standard error of `brdf`; NaN where nothing was received or known.
 
-        From the scatter of the batches; where a patch is `pooled`, at least what the
-        mean square of a hit in all patches makes of its number of hits. For integrals
-        their estimated error, with that of the delta components.
+        From the scatter of the batches, or under an emitter of finite size from
+        leaving out each in turn; where a patch is `pooled`, at least what the mean
+        square of a hit in all patches makes of its number of hits. For integrals their
+        estimated error, with that of the delta components.
         """
         return self._per_patch(lambda one: one.std_err(0))
 
@@ -315,7 +316,8 @@ class MeasuredValues:
         """Interval that covers the true patch mean with probability `level`.
 
         Exact binomial (Clopper-Pearson) for counted independent rays. Otherwise
-        Student's t over the batches; for patches with fewer than 100 hits (30 with
+        Student's t over the batches, with fewer degrees of freedom where they had
+        unlike parts of the light of an emitter of finite size; for patches with fewer than 100 hits (30 with
         samplers other than `independent`, which scatter less and for which it is wider
         than need be) the exact binomial interval of the hits, times the mean weight of
         a hit. A patch without a hit has an upper limit, and so has a channel that none
