@@ -317,8 +317,8 @@ class MeasuredValues:
 
         Exact binomial (Clopper-Pearson) for counted independent rays. Otherwise
         Student's t over the batches, with fewer degrees of freedom where they had
-        unlike parts of the light of an emitter of finite size; for patches with fewer than 100 hits (30 with
-        samplers other than `independent`, which scatter less and for which it is wider
+        unlike parts of the light of an emitter of finite size; for patches with fewer
+        than 100 hits (30 with samplers other than `independent`, which scatter less and for which it is wider
         than need be) the exact binomial interval of the hits, times the mean weight of
         a hit. A patch without a hit has an upper limit, and so has a channel that none
         of its hits carried: the flux that would have left it empty with probability
