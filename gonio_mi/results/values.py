@@ -318,14 +318,14 @@ class MeasuredValues:
         Exact binomial (Clopper-Pearson) for counted independent rays. Otherwise
         Student's t over the batches, with fewer degrees of freedom where they had
         unlike parts of the light of an emitter of finite size; for patches with fewer
-        than 100 hits (30 with samplers other than `independent`, which scatter less and for which it is wider
-        than need be) the exact binomial interval of the hits, times the mean weight of
-        a hit. A patch without a hit has an upper limit, and so has a channel that none
-        of its hits carried: the flux that would have left it empty with probability
-        ``(1 - level) / 2``, at the larger of unit weight and the largest mean weight
-        seen. All batches may give the same sum, and all rays
-        may have been received: no interval by Student's t is narrower than what so
-        many rays of another kind, of which none was seen, would change, nor than the
+        than 100 hits (30 with samplers other than `independent`, which scatter less and
+        for which it is wider than need be) the exact binomial interval of the hits,
+        times the mean weight of a hit. A patch without a hit has an upper limit, and so
+        has a channel that none of its hits carried: the flux that would have left it
+        empty with probability ``(1 - level) / 2``, at the larger of unit weight and the
+        largest mean weight seen. All batches may give the same sum, and all rays may
+        have been received: no interval by Student's t is narrower than what so many
+        rays of another kind, of which none was seen, would change, nor than the
         rounding of single precision. Where all rays were received with weight 1 they
         can only be lost.
 
