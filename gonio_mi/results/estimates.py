@@ -454,7 +454,14 @@ class ControlledEstimates(SampledEstimates):
     have been missed. Nothing is dark, for facets need no ray to be seen. A sum that
     rays made negative is told as 0, in patches of less than their chance error; totals
     are of all sums as they are.
+
+    Attributes
+    ----------
+    rounding : float
+        Part of a value that rounding may change alike in all batches.
     """
+
+    rounding: float = field(default=ROUNDING, kw_only=True)
 
     @property
     def _one(self) -> float:
@@ -484,7 +491,8 @@ class ControlledEstimates(SampledEstimates):
 
     def total_std_err(self, hemisphere: int) -> Floats:
         """Standard error of :meth:`total`, with that of one more ray."""
-        return np.hypot(super().total_std_err(hemisphere), 1 / self.rays)
+        scatter = np.hypot(super().total_std_err(hemisphere), 1 / self.rays)
+        return np.hypot(scatter, self.rounding * self.total(hemisphere))
 
     def interval(self, hemisphere: int, level: float) -> tuple[Floats, Floats]:
         """Limits of :meth:`fraction`."""
@@ -502,7 +510,7 @@ class ControlledEstimates(SampledEstimates):
         """Interval by Student's t, or of a Poisson count of hits if that is wider."""
         counted = scatter**2 / one
         high = statistics.gamma_interval(counted, scatter, one, level)[1]
-        least = np.fmax(high - counted, ROUNDING * value)
+        least = np.fmax(high - counted, self.rounding * value)
         low, high = statistics.student_interval(
             value, scatter, self.tally.n_batches, level, below=least, above=least
         )

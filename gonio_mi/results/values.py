@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,6 +13,7 @@ from ..array_types import Counts, Flags, Floats, Numbers
 from ..collector import Subdivision
 from ..errors import SettingError, checked_choice, checked_number
 from ..settings import MeasurementSettings
+from ..single_precision import ROUNDING
 from . import statistics
 from .estimates import (
     ControlledEstimates,
@@ -310,7 +311,7 @@ class MeasuredValues:
     @cached_property
     def estimates(self) -> tuple[Estimates, ...]:
         """:class:`gonio_mi.results.estimates.Estimates` of each incident direction."""
-        return tuple(map(self._estimates, self.tallies))
+        return tuple(map(self._estimates, self.tallies, self.theta_i))
 
     def interval(self, level: float = 0.95, of: str = "brdf") -> tuple[Floats, Floats]:
         """Interval that covers the true patch mean with probability `level`.
@@ -462,16 +463,19 @@ class MeasuredValues:
     def _projected(self) -> Floats:
         return self.subdivision.projected_solid_angles[..., None]
 
-    def _estimates(self, tally: Tally) -> Estimates:
+    def _estimates(self, tally: Tally, theta_i: float) -> Estimates:
         """Estimates of one incident direction, by the kind of its tally."""
         passes = self.provenance.passes
         if isinstance(tally, Integrals):
             return IntegralEstimates(tally, passes=passes)
-        kind = SampledEstimates
+        kind: Callable[..., Estimates] = SampledEstimates
         if self.asked.estimator.splits:
             kind = SplitEstimates
         elif self.provenance.transport == FACETS:
-            kind = ControlledEstimates
+            # a line falls by the cosine of its way: so much further off it passes what
+            # begins at a rounded height
+            rounding = ROUNDING / float(np.cos(np.radians(theta_i)))
+            kind = partial(ControlledEstimates, rounding=rounding)
         return kind(
             tally,
             independent=self.provenance.sampler == "independent",
