@@ -24,6 +24,7 @@ from .scene_objects import holds_foreign_plugins
 from .shapes import (
     bounds,
     encloses_medium,
+    farthest,
     groups_of,
     in_one_plane,
     is_height_map,
@@ -187,6 +188,14 @@ class Specimen:
     def reach(self) -> float:
         """Largest coordinate of the bounding box, the unit of rounding errors."""
         return float(np.abs([self.low, self.high]).max())
+
+    @cached_property
+    def radius(self) -> float:
+        """Of the sphere about the origin that holds the surfaces, or the cell."""
+        if self.periodic:
+            corner = np.abs([self.low, self.high]).max(axis=0)
+            return float(np.linalg.norm(corner))
+        return farthest(self.scene.shapes())
 
     @property
     def detail(self) -> float:
