@@ -19,7 +19,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..array_types import Floats, Integers
-from ..mitsuba_compat import FRAME, PARTIALS, mesh_of, triangles_of
+from ..mitsuba_compat import FRAME, PARTIALS, has_normals, mesh_of, triangles_of
 from .exits import Exits
 from .rays import NEARBY, with_normal
 from .scene_objects import traversed
@@ -62,7 +62,7 @@ def has_mirror_facets(setup: Setup) -> bool:
         return False
     if any(mi.has_flag(lobes, one) for one in others) or not specimen.is_height_map:
         return False
-    return not mesh.has_vertex_normals()
+    return not has_normals(mesh)
 
 
 class MirrorFacets:

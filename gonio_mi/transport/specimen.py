@@ -13,7 +13,7 @@ import numpy as np
 
 from ..array_types import Integers
 from ..errors import SpecimenError, abridged, warn
-from ..mitsuba_compat import MINIMAL, SURFACE
+from ..mitsuba_compat import MINIMAL, SURFACE, has_normals, recompute_box
 from ..settings.values import Period
 from .digest import digest
 from .kernels import in_memory
@@ -142,7 +142,7 @@ class Specimen:
         for shape in self.surfaces:
             if isinstance(shape, mi.Mesh) and not shape.bbox().valid():
                 # merged from others by Mitsuba 3.9.1, which forgets to
-                shape.recompute_bbox()
+                recompute_box(shape)
         self.media = media_of(self.surfaces)
         self.scene = scene = scene_of(shapes, self.groups)
         self.low, self.high = bounds(shapes)
@@ -245,7 +245,7 @@ class Specimen:
         if self.closed_to_light or self.plane is not None:
             return []
         flat = all(
-            isinstance(shape, mi.Mesh) and not shape.has_vertex_normals()
+            isinstance(shape, mi.Mesh) and not has_normals(shape)
             for shape in self.surfaces
         )
         least = (self.detail + self.reach) * (RETREAT if flat else SURFACE_OFFSET)
