@@ -151,7 +151,9 @@ def remove_forgotten(folder: Path, age: float = MAX_PARTIAL_AGE) -> None:
     """Remove the temporary files of processes that were killed, of this age in s."""
     for partial in folder.glob(f"{PREFIX}*{SUFFIX}"):
         with contextlib.suppress(OSError):
-            if time.time() - partial.stat().st_mtime < age:
+            found = partial.lstat()
+            # to open a pipe would wait for whoever writes to it
+            if not stat.S_ISREG(found.st_mode) or time.time() - found.st_mtime < age:
                 continue
             with open(partial, "rb") as stream:
                 if not _is_locked(stream):
