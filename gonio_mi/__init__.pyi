@@ -45,12 +45,12 @@ from .exchange.formats.reading import read_measured as read_measured
 from .files import load as load
 from .files.measured_table import MeasuredTable as MeasuredTable
 from .instrument.measure import measure_orders as measure_orders
-from .specimen.mesh import mesh as mesh
 from .plots import plot as plot
 from .reports import report as report
 from .results.planning import Plan as Plan, plan as plan
 from .results.record import Record as Record
 from .results.tally import Ledger as Ledger
+from .specimen.mesh import mesh as mesh
 from .validation.examination import validate as validate
 from .validation.verdict import Verdict as Verdict
 

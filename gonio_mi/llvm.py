@@ -84,15 +84,24 @@ def status() -> LLVMStatus:
         return LLVMStatus(path, version, True, f"Dr.Jit uses LLVM {dotted(version)}")
     known = version if version[0] >= 0 else None
     found = f"LLVM {dotted(known)}" if known else "no LLVM that can be loaded"
-    how = "import gonio_mi before mitsuba"
+    libraries: list[tuple[int, str]] = []
+    with contextlib.suppress(Exception):  # as in `prepare`
+        libraries = _libraries()
+    steps = [] if any(n >= MINIMUM_VERSION for n, _ in libraries) else [_install()]
+    if named in [path for _, path in libraries]:  # perhaps by `prepare`
+        steps = ["install it anew"]
+    else:
+        first = "import gonio_mi before mitsuba"
+        steps.append(f"unset {VARIABLE}" if named else first)
     if named:
         is_file = os.path.isfile(named) or os.path.basename(named) == named
         found = f"is {found}" if is_file else "does not exist"
-        found, how = f"{named} ({VARIABLE}) {found}", f"unset {VARIABLE}"
+        found = "is a folder, not a library" if os.path.isdir(named) else found
+        found = f"{named} ({VARIABLE}) {found}"
     else:
         found = f"Dr.Jit found {found}" + (f" ({path})" if path else "")
     need = f"Dr.Jit needs {MINIMUM_VERSION} or newer"
-    reason = f"{found}, and {need}: {_install()} and {how}"
+    reason = f"{found}, and {need}: {' and '.join(steps)}"
     return LLVMStatus(named or path, known, False, reason)
 
 

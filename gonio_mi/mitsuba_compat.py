@@ -27,6 +27,18 @@ SURFACE = _named(mi.RayFlags, "Shading", "All")
 PARTIALS = SURFACE | _named(mi.RayFlags, "NormalPartials", "dNSdUV")
 
 
+def has_normals(mesh: mi.Mesh) -> bool:
+    """Whether a mesh has normals of its vertices."""
+    new = getattr(mesh, "has_normals", None)
+    return bool(mesh.has_vertex_normals() if new is None else new())
+
+
+def recompute_box(mesh: mi.Mesh) -> None:
+    """Let a mesh find its box; 3.10 has no such method, and always knows it."""
+    if hasattr(mesh, "recompute_bbox"):
+        mesh.recompute_bbox()
+
+
 def triangles_of(parameters: Any) -> tuple[Numbers, Numbers] | None:
     """Points ``(n, 3)`` and triangles ``(m, 3)`` of a shape; None of what has none.
 

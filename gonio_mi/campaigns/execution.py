@@ -203,8 +203,12 @@ def workers(n: int) -> Iterator[ProcessPoolExecutor]:
     spawn = multiprocessing.get_context("spawn")
     ending, held = spawn.Pipe(duplex=False)
     arguments = (ending, os.getpid())
-    with _spawning():  # Python's own tracker of semaphores
-        pool = _Workers(n, spawn, initializer=_begin, initargs=arguments)
+    try:
+        with _spawning():  # Python's own tracker of semaphores
+            pool = _Workers(n, spawn, initializer=_begin, initargs=arguments)
+    except OSError as error:  # which names no file
+        reason = f"workers need semaphores in shared memory: {error.strerror}"
+        raise type(error)(error.errno, reason, "/dev/shm") from None
     try:
         yield pool
         pool.shutdown()

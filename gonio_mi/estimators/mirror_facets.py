@@ -19,7 +19,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..array_types import Floats, Integers
-from ..mitsuba_compat import FRAME, PARTIALS, mesh_of, triangles_of
+from ..mitsuba_compat import FRAME, PARTIALS, has_normals, mesh_of, triangles_of
 from ..specimen.rays import NEARBY, with_normal
 from ..specimen.scene_objects import traversed
 from ..specimen.specimen import Specimen
@@ -32,6 +32,9 @@ NO_FACET = 2**32 - 1
 
 # How far past a facet's plane a line goes on, in units of the coordinates: 4 roundings.
 PAST = 2.0**-22
+
+# Rounding of a height, in units of what lines step back by at a side of a cell.
+SINGLE = 2.0**-24 / NEARBY
 
 # How often lines enter facets of the specimen itself, and how far from the origin it
 # may lie, in half its extents: else of a copy, which takes time to build.
@@ -59,7 +62,7 @@ def has_mirror_facets(setup: Setup) -> bool:
         return False
     if any(mi.has_flag(lobes, one) for one in others) or not specimen.is_height_map:
         return False
-    return not mesh.has_vertex_normals()
+    return not has_normals(mesh)
 
 
 class MirrorFacets:
@@ -162,25 +165,35 @@ class MirrorFacets:
         Lines start above all facets, inside of the cell, and go down to the bottom.
         Where they are is told in double precision by the distance from the start and
         whole numbers of cells, so that they remain straight: what they are moved by
-        rounding does not add up, however many cells they cross.
+        rounding does not add up, however many cells they cross. Into a cell they go at
+        a height of single precision: at its side all would be rounded alike, by much of
+        what a grazing line falls in a cell. What they enter at a side may seem to be in
+        both cells.
         """
         o, d = mi.Point3d(ray.o) - self._middle, mi.Vector3d(ray.d)
         origin = self._middle - self._origin
         end = (dr.abs(o.z) + self._half.z) / dr.abs(d.z)
-        t, cell, last = mi.Float64(0), mi.Vector3d(0), mi.UInt32(NO_FACET)
+        before = self._before * (1 + SINGLE / dr.abs(d.z))
+        t, past, cell = -before, mi.Float64(-dr.inf), mi.Vector3d(0)
+        last, inside = mi.UInt32(NO_FACET), mi.Bool(False)
         active = mi.Bool(active)
         while active:
+            z = o.z + t * d.z + origin.z
+            t += dr.select(inside, 0.0, (mi.Float64(mi.Float(z)) - z) / d.z)
             here = mi.Ray3f(mi.Point3f(o + t * d - cell + origin), ray.d)
             found = self._scene.ray_intersect_preliminary(here, True, active)
             hit = active & found.is_valid()
             face = found.prim_index
             number = dr.gather(mi.UInt32, self._number, face, hit)
             # a line enters a facet once
-            take(number, hit & (face != last) & (number != NO_FACET))
+            again = (face == last) | (t + found.t <= past)
+            take(number, hit & ~again & (number != NO_FACET))
             last = dr.select(hit, face, mi.UInt32(NO_FACET))
             beyond = dr.gather(mi.Float64, self._beyond, face, hit)
             out, step = self._side(o - cell, d)
-            t = dr.select(hit, t + found.t + beyond, out - self._before)
+            past = dr.select(hit, t + found.t + beyond, past)
+            t = dr.select(hit, past, out - before)
+            inside = hit
             cell += dr.select(hit, 0.0, step)
             active &= hit | (out < end)
 

@@ -76,7 +76,10 @@ def check_seal(stream: BinaryIO) -> None:
 
 def check_record(record: Record) -> None:
     """Raise FileFormatError unless the parts of a record are consistent."""
+    collimated = record.provenance.emitter == "DirectionalEmitter"
     for theta, phi in zip(record.theta_i.tolist(), record.phi_i.tolist()):
+        known = not (math.isnan(theta) or math.isnan(phi))
+        require(known or not collimated, "its incident direction is NaN")
         below = math.isnan(theta) or -BELOW_NORMAL <= theta < 90  # NaN is not known
         require(below, f"its theta_i is {theta:g}, not in [0, 90) degrees")
         require(math.isnan(phi) or abs(phi) <= MAX_AZIMUTH, f"its phi_i is {phi:g}")

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
-from ..errors import SettingError
+from ..errors import SettingError, SettingTypeError, shown
 
 try:
     import fcntl
@@ -63,7 +63,9 @@ def check_output(path: str | os.PathLike[str], endings: Sequence[str]) -> None:
 
 
 def checked_ending(path: str | os.PathLike[str], endings: Sequence[str]) -> str:
-    """Return the ending of `path` in lower case, or raise ValueError."""
+    """Return the ending of `path` in lower case, or raise ValueError or TypeError."""
+    if not isinstance(path, (str, os.PathLike)):
+        raise SettingTypeError(f"path must be text or a path, got {shown(path)}")
     ending = Path(path).suffix.lower()
     if ending not in endings:
         raise SettingError(
@@ -149,7 +151,9 @@ def remove_forgotten(folder: Path, age: float = MAX_PARTIAL_AGE) -> None:
     """Remove the temporary files of processes that were killed, of this age in s."""
     for partial in folder.glob(f"{PREFIX}*{SUFFIX}"):
         with contextlib.suppress(OSError):
-            if time.time() - partial.stat().st_mtime < age:
+            found = partial.lstat()
+            # to open a pipe would wait for whoever writes to it
+            if not stat.S_ISREG(found.st_mode) or time.time() - found.st_mtime < age:
                 continue
             with open(partial, "rb") as stream:
                 if not _is_locked(stream):

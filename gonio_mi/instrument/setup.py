@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 import mitsuba as mi
-import numpy as np
 
 from ..errors import SettingTypeError, SpecimenError, shown, warn
 from ..estimators import METHODS
@@ -102,11 +101,10 @@ def set_up(
     specimen = Specimen(scene, settings.period, name)
     _check_specimen(specimen, settings)
     defects = _defects(specimen, settings)
-    corner = np.abs([specimen.low, specimen.high]).max(axis=0)
-    if 0 < radius <= np.linalg.norm(corner):
+    if 0 < radius <= specimen.radius:
         raise SpecimenError(
-            "collector.radius must enclose the specimen, whose corner is at "
-            f"{corner}, got {radius}"
+            "collector.radius must enclose the specimen, which reaches "
+            f"{specimen.radius:.7g} from the origin, got {radius}"
         )
     described = described_digest(emitter)
     choice = None

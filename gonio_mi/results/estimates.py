@@ -67,6 +67,11 @@ class Estimates(ABC):
         return self._all_rays // self.passes
 
     @property
+    def n_batches(self) -> int | Floats:
+        """Batches by whose scatter Student's t goes."""
+        return self.tally.n_batches
+
+    @property
     def without_hit(self) -> Flags:
         """Whether a patch is known by an upper limit only, shaped like `hits`."""
         return np.zeros(self.tally.hits.shape, bool)
@@ -191,6 +196,18 @@ class SampledEstimates(Estimates):
         return np.max(self.tally.sums[:, hemisphere], axis=0, initial=0) == 0
 
     @property
+    def unlike_power(self) -> bool:
+        """Whether rays carry unlike power, and batches unlike parts of it."""
+        return bool(np.any(self.tally.incident % self.tally.scale))
+
+    @property
+    def n_batches(self) -> int | Floats:
+        """Batches; of unlike power as many as are alike, per channel."""
+        if self.unlike_power:
+            return statistics.effective_batches(self.tally.incident)
+        return super().n_batches
+
+    @property
     def binomial(self) -> bool:
         """Whether each patch counted independent rays of one channel, one by one."""
         tally = self.tally
@@ -261,12 +278,13 @@ class SampledEstimates(Estimates):
             hits = self.tally.hits[hemisphere][..., None]
             return statistics.binomial_std_err(hits, self._all_rays)
         sums = self.tally.sums[:, hemisphere]
-        std_err = statistics.batch_std_err(sums, self._incident)
+        std_err = statistics.batch_std_err(sums, self._incident, self.unlike_power)
         return np.where(self.dark(hemisphere), np.nan, std_err)
 
     def total_std_err(self, hemisphere: int) -> Floats:
         """Standard error of :meth:`total`."""
-        return statistics.batch_std_err(self._sum(hemisphere), self.tally.incident)
+        sums, incident = self._sum(hemisphere), self.tally.incident
+        return statistics.batch_std_err(sums, incident, self.unlike_power)
 
     def interval(self, hemisphere: int, level: float) -> tuple[Floats, Floats]:
         """Limits of :meth:`fraction`."""
@@ -283,7 +301,7 @@ class SampledEstimates(Estimates):
         regime = Regime.FEW * few + Regime.RARE * rare
         regime = np.where(self.dark(hemisphere), Regime.DARK, regime)
         missed = np.where(few, largest, weight) if self.deposited else weight
-        if not self.deposited and np.any(self.tally.incident % self.tally.scale):
+        if self.unlike_power and not self.deposited:
             # light of unlike power: the mean of any patch's rays, each by its power
             with np.errstate(invalid="ignore"):
                 square = np.nanmax(scatter**2 / fraction, axis=(0, 1), initial=0.0)
@@ -332,7 +350,8 @@ class SampledEstimates(Estimates):
     @property
     def direct_std_err(self) -> Floats:
         """Standard error of `direct`."""
-        return statistics.batch_std_err(self.tally.direct, self.tally.incident)
+        direct, incident = self.tally.direct, self.tally.incident
+        return statistics.batch_std_err(direct, incident, self.unlike_power)
 
     def direct_interval(self, level: float) -> tuple[Floats, Floats]:
         """Limits of `direct`."""
@@ -404,7 +423,7 @@ class SampledEstimates(Estimates):
         open the rounding of what they carry.
         """
         unseen = statistics.upper_limit(self.rays, level)
-        rounding, n = ROUNDING * value, self.tally.n_batches
+        rounding, n = ROUNDING * value, self.n_batches
         below = np.maximum(unseen * weight, rounding)
         above = np.where(above > 0, np.maximum(unseen * above, rounding), 0.0)
         return statistics.student_interval(value, std_err, n, level, below, above)
@@ -435,7 +454,14 @@ class ControlledEstimates(SampledEstimates):
     have been missed. Nothing is dark, for facets need no ray to be seen. A sum that
     rays made negative is told as 0, in patches of less than their chance error; totals
     are of all sums as they are.
+
+    Attributes
+    ----------
+    rounding : float
+        Part of a value that rounding may change alike in all batches.
     """
+
+    rounding: float = field(default=ROUNDING, kw_only=True)
 
     @property
     def _one(self) -> float:
@@ -465,7 +491,8 @@ class ControlledEstimates(SampledEstimates):
 
     def total_std_err(self, hemisphere: int) -> Floats:
         """Standard error of :meth:`total`, with that of one more ray."""
-        return np.hypot(super().total_std_err(hemisphere), 1 / self.rays)
+        scatter = np.hypot(super().total_std_err(hemisphere), 1 / self.rays)
+        return np.hypot(scatter, self.rounding * self.total(hemisphere))
 
     def interval(self, hemisphere: int, level: float) -> tuple[Floats, Floats]:
         """Limits of :meth:`fraction`."""
@@ -483,7 +510,7 @@ class ControlledEstimates(SampledEstimates):
         """Interval by Student's t, or of a Poisson count of hits if that is wider."""
         counted = scatter**2 / one
         high = statistics.gamma_interval(counted, scatter, one, level)[1]
-        least = np.fmax(high - counted, ROUNDING * value)
+        least = np.fmax(high - counted, self.rounding * value)
         low, high = statistics.student_interval(
             value, scatter, self.tally.n_batches, level, below=least, above=least
         )

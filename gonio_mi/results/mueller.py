@@ -79,7 +79,7 @@ class MuellerEstimates:
 
     def total_std_err(self, hemisphere: int) -> Floats:
         """Standard errors of :meth:`total`, from the batches."""
-        return statistics.batch_std_err(self._sum(hemisphere), self._incident[:, 0, 0])
+        return self._batch_std_err(self._sum(hemisphere), self._incident[:, 0, 0])
 
     def interval(self, hemisphere: int, level: float) -> tuple[Floats, Floats]:
         """Limits of :meth:`fraction`.
@@ -124,7 +124,7 @@ class MuellerEstimates:
         sums, incident = self._stokes(hemisphere, vector, total), self._incident[..., 0]
         if total:
             incident = incident[:, 0, 0]
-        std_err = statistics.batch_std_err(sums, incident)
+        std_err = self._batch_std_err(sums, incident)
         if not total:
             std_err[self.light.dark(hemisphere)] = np.nan
         return statistics.ratio(sums, incident), std_err
@@ -170,11 +170,12 @@ class MuellerEstimates:
         Noise alone has a degree too: the lower one is 0 unless one of Q, U and V has
         limits on one side of 0 (Bonferroni).
         """
-        n = self.tally.n_batches
+        n = self.light.n_batches
         value, std_err = self.degree(hemisphere, vector)
         low, high = statistics.student_interval(value, std_err, n, level)
         parts, errors = self.normalised_stokes(hemisphere, vector)
         of_each = 1 - (1 - level) / parts.shape[-1]
+        n = np.asarray(n)[..., None]
         least, most = statistics.student_interval(parts, errors, n, of_each)
         may_be_0 = ((least <= 0) & (most >= 0)).all(axis=-1)
         few = self._few(hemisphere)
@@ -205,7 +206,11 @@ class MuellerEstimates:
 
     def _scatter(self, hemisphere: int) -> Floats:
         """Standard errors from the batches alone."""
-        return statistics.batch_std_err(self.tally.matrices(hemisphere), self._incident)
+        return self._batch_std_err(self.tally.matrices(hemisphere), self._incident)
+
+    def _batch_std_err(self, sums: Floats, incident: Floats) -> Floats:
+        """Standard errors of ratios, as of the `light`."""
+        return statistics.batch_std_err(sums, incident, self.light.unlike_power)
 
     def _student(
         self, value: Floats, std_err: Floats, hits: Floats, level: float
@@ -216,9 +221,8 @@ class MuellerEstimates:
             weight = light * self.light.rays / np.asarray(hits)[..., None, None]
         unseen = statistics.upper_limit(self.light.rays, level) * weight
         least = np.fmax(unseen, ROUNDING * light)
-        return statistics.student_interval(
-            value, std_err, self.tally.n_batches, level, least, least
-        )
+        n = np.asarray(self.light.n_batches)[..., None, None]
+        return statistics.student_interval(value, std_err, n, level, least, least)
 
     def _half_limits(self, hemisphere: int, level: float, sign: int) -> list[Floats]:
         """Limits of half the sums, or differences, of the first element and each."""

@@ -12,7 +12,7 @@ from functools import partial
 from numbers import Integral, Real
 from typing import Any, NoReturn
 
-from ..errors import SettingError, SettingTypeError, shown
+from ..errors import SettingError, SettingTypeError, abridged, shown
 from ..settings import MeasurementSettings, declarations
 from .campaign_outcome import CampaignOutcome
 
@@ -37,6 +37,9 @@ FREE_WHEN_MERGED = {
     *("rays", "batches", "seed", "created", "versions", "specimen"),
     *("defects", "interrupted", "task", "processors", "choice"),
 }
+
+# Characters of a name that are told: in a file it may have any number.
+MAX_NAME = 1000
 
 # Processor of records that do not report it.
 UNKNOWN = "unknown"
@@ -223,8 +226,8 @@ class Provenance:
 
     @property
     def name(self) -> str:
-        """Name of the specimen, or ``a record``."""
-        return self.specimen or "a record"
+        """Name of the specimen, shortened if it is very long, or ``a record``."""
+        return abridged(self.specimen or "a record", MAX_NAME)
 
     @property
     def each_processor(self) -> tuple[str, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import operator
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -130,6 +131,7 @@ class Record(MeasuredValues):
                 )
             part, tallies = index, self.tallies[index]
         else:
+            index = self._checked_index(index)
             part, tallies = slice(index, index + 1 or None), (self.tallies[index],)
         return replace(
             self,
@@ -137,6 +139,26 @@ class Record(MeasuredValues):
             phi_i=self.phi_i[part],
             tallies=tallies,
             stacked=isinstance(index, slice),
+        )
+
+    def _checked_index(self, index: object) -> int:
+        """Number of an incident direction; IndexError if the stack has no such one."""
+        if not hasattr(index, "__index__") or isinstance(index, bool):
+            raise SettingTypeError(
+                f"index must be a whole number or a slice, got {shown(index)}"
+            )
+        number = operator.index(index)
+        if not -len(self) <= number < len(self):
+            raise IndexError(
+                f"index must be that of one of {len(self)} incident directions, "
+                f"got {number}"
+            )
+        return number
+
+    def __array__(self, *_: object, **__: object) -> Any:
+        """No array stands for all of a record, not even that of patches."""
+        raise SettingTypeError(
+            "a Record is no array: take one of its attributes, such as brdf or dhr"
         )
 
     def __eq__(self, other: object) -> bool:

@@ -33,12 +33,15 @@ def ratio(sums: Numbers, incident: Numbers) -> Floats:
         return np.sum(sums, axis=0, dtype=float) / np.sum(incident, axis=0, dtype=float)
 
 
-def batch_std_err(sums: Numbers, incident: Numbers) -> Floats:
+def batch_std_err(sums: Numbers, incident: Numbers, unlike: bool = False) -> Floats:
     """Standard error of :func:`ratio` from the scatter between batches.
 
     The usual linearisation of a ratio estimator (Cochran 1977, *Sampling
     Techniques*, eq. 6.13); for batches of equal incident flux it is the standard error
-    of the mean of the batches. NaN for fewer than two batches.
+    of the mean of the batches. Where that is `unlike`, the ratio follows the batches
+    that have most of it: it is then that of leaving out one batch after the other
+    (Efron 1982, *The Jackknife*). NaN for fewer than two batches, or where all flux
+    fell on one.
     """
     n = len(sums)
     if n < 2:
@@ -46,10 +49,29 @@ def batch_std_err(sums: Numbers, incident: Numbers) -> Floats:
     incident = np.asarray(incident, dtype=float)
     fraction = ratio(sums, incident)
     square = np.zeros(fraction.shape)
-    for batch_sum, batch_incident in zip(sums, incident):
-        square += (batch_sum - fraction * batch_incident) ** 2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # of each batch's deviation, the part that the others' ratio would leave
+        kept = (1 - incident / incident.sum(axis=0)) / (1 - 1 / n)
+    for batch_sum, batch_incident, others in zip(sums, incident, kept):
+        deviation = batch_sum - fraction * batch_incident
+        square += (deviation / others if unlike else deviation) ** 2
     with np.errstate(invalid="ignore"):
         return np.sqrt(square * (n / (n - 1))) / incident.sum(axis=0)
+
+
+def effective_batches(incident: Numbers) -> Floats:
+    """Number of batches alike whose scatter is known as well as that of unlike ones.
+
+    By the degrees of freedom of a sum of squares (Satterthwaite 1946, Biometrics
+    Bulletin 2, 110), each in proportion to the square of the `incident` flux.
+
+    Parameters
+    ----------
+    incident : ndarray, shape (n_batches, ...)
+    """
+    n, squares = len(incident), np.square(incident / incident.sum(axis=0, dtype=float))
+    alike = squares.sum(axis=0) ** 2 / np.square(squares).sum(axis=0)
+    return np.asarray(1 + alike * (n - 1) / n)
 
 
 def scatter_weight(sums: Numbers, incident: Numbers, hits: Counts) -> Floats:
@@ -167,7 +189,7 @@ def gamma_interval(
 def student_interval(
     value: Floats,
     std_err: Floats,
-    n_batches: int,
+    n_batches: int | Floats,
     level: float,
     below: ArrayLike = 0.0,
     above: ArrayLike = 0.0,
@@ -176,7 +198,7 @@ def student_interval(
 
     It reaches at least `below` and `above` to its sides; NaN where `std_err` is.
     """
-    half = special.stdtrit(max(n_batches - 1, 1), (1 + level) / 2) * std_err
+    half = special.stdtrit(np.maximum(n_batches - 1, 1), (1 + level) / 2) * std_err
     low, high = (np.maximum(half, np.nan_to_num(least)) for least in (below, above))
     return value - low, value + high
 

@@ -19,6 +19,8 @@ from .tally import grouped, without_chance
 
 WIDTH = 88
 MAX_SURFACE = 400
+# Characters of a text that are told: in a file it may have any number.
+MAX_TEXT = 10_000
 MAIN_ROWS = ("reflected", "transmitted", "absorbed")
 
 # What some rows of the ledger mean where rays have weights.
@@ -381,7 +383,7 @@ def aligned(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def _filled(label: str, text: str) -> str:
     """`text` behind its label, in lines of at most `WIDTH`."""
     return textwrap.fill(
-        text,
+        abridged(text, MAX_TEXT),
         WIDTH,
         initial_indent=label,
         subsequent_indent=" " * len(label),

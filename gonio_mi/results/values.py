@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,6 +13,7 @@ from ..array_types import Counts, Flags, Floats, Numbers
 from ..collector import Subdivision
 from ..errors import SettingError, checked_choice, checked_number
 from ..settings import MeasurementSettings
+from ..single_precision import ROUNDING
 from . import statistics
 from .estimates import (
     ControlledEstimates,
@@ -64,9 +65,10 @@ class MeasuredValues:
     def brdf_std_err(self) -> Floats:
         """Standard error of `brdf`; NaN where nothing was received or known.
 
-        From the scatter of the batches; where a patch is `pooled`, at least what the
-        mean square of a hit in all patches makes of its number of hits. For integrals
-        their estimated error, with that of the delta components.
+        From the scatter of the batches, or under an emitter of finite size from
+        leaving out each in turn; where a patch is `pooled`, at least what the mean
+        square of a hit in all patches makes of its number of hits. For integrals their
+        estimated error, with that of the delta components.
         """
         return self._per_patch(lambda one: one.std_err(0))
 
@@ -309,21 +311,22 @@ class MeasuredValues:
     @cached_property
     def estimates(self) -> tuple[Estimates, ...]:
         """:class:`gonio_mi.results.estimates.Estimates` of each incident direction."""
-        return tuple(map(self._estimates, self.tallies))
+        return tuple(map(self._estimates, self.tallies, self.theta_i))
 
     def interval(self, level: float = 0.95, of: str = "brdf") -> tuple[Floats, Floats]:
         """Interval that covers the true patch mean with probability `level`.
 
         Exact binomial (Clopper-Pearson) for counted independent rays. Otherwise
-        Student's t over the batches; for patches with fewer than 100 hits (30 with
-        samplers other than `independent`, which scatter less and for which it is wider
-        than need be) the exact binomial interval of the hits, times the mean weight of
-        a hit. A patch without a hit has an upper limit, and so has a channel that none
-        of its hits carried: the flux that would have left it empty with probability
-        ``(1 - level) / 2``, at the larger of unit weight and the largest mean weight
-        seen. All batches may give the same sum, and all rays
-        may have been received: no interval by Student's t is narrower than what so
-        many rays of another kind, of which none was seen, would change, nor than the
+        Student's t over the batches, with fewer degrees of freedom where they had
+        unlike parts of the light of an emitter of finite size; for patches with fewer
+        than 100 hits (30 with samplers other than `independent`, which scatter less and
+        for which it is wider than need be) the exact binomial interval of the hits,
+        times the mean weight of a hit. A patch without a hit has an upper limit, and so
+        has a channel that none of its hits carried: the flux that would have left it
+        empty with probability ``(1 - level) / 2``, at the larger of unit weight and the
+        largest mean weight seen. All batches may give the same sum, and all rays may
+        have been received: no interval by Student's t is narrower than what so many
+        rays of another kind, of which none was seen, would change, nor than the
         rounding of single precision. Where all rays were received with weight 1 they
         can only be lost.
 
@@ -460,16 +463,19 @@ class MeasuredValues:
     def _projected(self) -> Floats:
         return self.subdivision.projected_solid_angles[..., None]
 
-    def _estimates(self, tally: Tally) -> Estimates:
+    def _estimates(self, tally: Tally, theta_i: float) -> Estimates:
         """Estimates of one incident direction, by the kind of its tally."""
         passes = self.provenance.passes
         if isinstance(tally, Integrals):
             return IntegralEstimates(tally, passes=passes)
-        kind = SampledEstimates
+        kind: Callable[..., Estimates] = SampledEstimates
         if self.asked.joins_points:
             kind = SplitEstimates
         elif self.provenance.transport == FACETS:
-            kind = ControlledEstimates
+            # a line falls by the cosine of its way: so much further off it passes what
+            # begins at a rounded height
+            rounding = ROUNDING / float(np.cos(np.radians(theta_i)))
+            kind = partial(ControlledEstimates, rounding=rounding)
         return kind(
             tally,
             independent=self.provenance.sampler == "independent",

@@ -106,6 +106,17 @@ SPLINE = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) 
 # them again, each time 16 times as near: to 1e-10 of the extent, and segments at once.
 POINTS, ROUNDS, SEGMENTS = 33, 5, 4096
 
+# Points around what is flat before it is transformed, or around the ends of a cylinder:
+# its hull. Of circles those of a polygon about them, 1e-6 of the radius larger.
+_ANGLES = np.linspace(0, 2 * np.pi, 2049)
+_CIRCLE = np.stack([np.cos(_ANGLES), np.sin(_ANGLES), 0 * _ANGLES], axis=1)
+_CIRCLE /= np.cos(np.pi / 2048)
+OUTLINES = {
+    "Rectangle": np.array([(x, y, 0.0) for x in (-1, 1) for y in (-1, 1)]),
+    "Disk": _CIRCLE,
+    "Cylinder": np.concatenate([_CIRCLE, _CIRCLE + [0, 0, 1]]),
+}
+
 # Triangles whose vertices are looked up at once, in the cache.
 FACES = 2**16
 
@@ -118,6 +129,31 @@ def bounds(shapes: Sequence[mi.Shape]) -> Corners:
     """
     low, high = np.transpose([_box(shape) for shape in shapes], (1, 0, 2))
     return low.min(axis=0), high.max(axis=0)
+
+
+def farthest(shapes: Sequence[mi.Shape]) -> float:
+    """Distance from the origin that no point of `shapes` exceeds.
+
+    Exact for meshes, spheres, rectangles, disks and cylinders; of others the distance
+    of a corner of their box.
+    """
+    return max(map(_farthest, shapes))
+
+
+def _farthest(shape: mi.Shape) -> float:
+    """The same for one shape."""
+    low, high = _box(shape)
+    kind, parameters = shape.class_name(), traversed(shape)
+    points = np.array([np.abs([low, high]).max(axis=0)])
+    if kind == "Sphere":
+        return float(np.linalg.norm(low + high) / 2 + (high - low).max() / 2)
+    if kind in OUTLINES:
+        to_world = np.array(parameters["to_world"].matrix, dtype=float).reshape(4, 4)
+        points = OUTLINES[kind] @ to_world[:3, :3].T + to_world[:3, 3]
+    elif isinstance(shape, mi.Mesh):
+        positions, faces = triangles_of(parameters) or (points, [[0]])
+        points = positions[np.unique(faces).astype(np.intp)]
+    return float(np.linalg.norm(points.astype(float), axis=1).max())
 
 
 def _box(shape: mi.Shape) -> Floats:

@@ -14,7 +14,7 @@ import numpy as np
 from ..array_types import Flags, Floats, Integers
 from ..errors import SpecimenError, abridged, warn
 from ..kernels import in_memory
-from ..mitsuba_compat import MINIMAL, SURFACE
+from ..mitsuba_compat import MINIMAL, SURFACE, has_normals, recompute_box
 from ..settings.values import Period
 from .digest import digest
 from .media import media_of
@@ -24,6 +24,7 @@ from .scene_objects import holds_foreign_plugins
 from .shapes import (
     bounds,
     encloses_medium,
+    farthest,
     groups_of,
     in_one_plane,
     is_height_map,
@@ -159,7 +160,7 @@ class Specimen:
         for shape in self.surfaces:
             if isinstance(shape, mi.Mesh) and not shape.bbox().valid():
                 # merged from others by Mitsuba 3.9.1, which forgets to
-                shape.recompute_bbox()
+                recompute_box(shape)
         self.media = media_of(self.surfaces)
         self.scene = scene = scene_of(shapes, self.groups)
         self.low, self.high = bounds(shapes)
@@ -205,6 +206,14 @@ class Specimen:
         """Largest coordinate of the bounding box, the unit of rounding errors."""
         own = float(np.abs([self.low, self.high]).max())
         return own + float(np.abs(self.shifts).max())
+
+    @cached_property
+    def radius(self) -> float:
+        """Of the sphere about the origin that holds the surfaces, or the cell."""
+        if self.periodic:
+            corner = np.abs([self.low, self.high]).max(axis=0)
+            return float(np.linalg.norm(corner))
+        return farthest(self.scene.shapes())
 
     @property
     def detail(self) -> float:
@@ -255,7 +264,7 @@ class Specimen:
         if self.closed_to_light or self.plane is not None:
             return []
         flat = all(
-            isinstance(shape, mi.Mesh) and not shape.has_vertex_normals()
+            isinstance(shape, mi.Mesh) and not has_normals(shape)
             for shape in self.surfaces
         )
         least = (self.detail + self.reach) * (RETREAT if flat else SURFACE_OFFSET)

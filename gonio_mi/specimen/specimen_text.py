@@ -70,6 +70,8 @@ def parse_specimen(text: str) -> Any:
             raise SpecimenError(_with_commas(key, value))
         if value.lower().lstrip("+-") in ("nan", "inf"):
             raise SpecimenError(f"{key} must be a finite number, got {value}")
+        if key in specimen:
+            raise SpecimenError(f"{key} must be given once, got {text!r}")
         specimen[key] = _value(value)
     return specimen
 

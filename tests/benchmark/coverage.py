@@ -162,6 +162,28 @@ def _screen() -> dict[str, Any]:
     }
 
 
+def _near_emitter() -> dict[str, Any]:
+    """Plate of two reflectances, and a small disk near to it, above their border."""
+    texels = np.array([[[0.25], [0.75]]], np.float32)
+    texture = {"type": "bitmap", "data": mi.TensorXf(texels), "raw": True}
+    turned = mi.ScalarTransform4f().translate([0, 0, 0.05]).rotate([1, 0, 0], 180)
+    return {
+        "type": "scene",
+        "plate": {
+            "type": "rectangle",
+            "bsdf": {
+                "type": "diffuse",
+                "reflectance": texture | {"filter_type": "nearest"},
+            },
+        },
+        "disk": {
+            "type": "disk",
+            "to_world": turned.scale(0.02),
+            "emitter": {"type": "area"},
+        },
+    }
+
+
 METAL = {"type": "roughconductor", "alpha": 0.3, "distribution": "ggx"}
 PERIODIC = {"theta_i": 30, "collector": "projected:8x12", "period": "box"}
 CASES = {
@@ -225,6 +247,13 @@ for name in ("split, grooves", "split, hills"):
     )
 CASES["facets, 30 x 30"] = replace(
     CASES["facets"], settings=PERIODIC | {"collector": "projected:30x30"}
+)
+CASES["near emitter"] = Case(
+    _near_emitter,
+    {"collector": "projected:4x8", "trace": True},
+    (*TRACED[:2], *TRACED[-2:]),
+    ("all",),
+    most_rays=10_000,
 )
 POINTS: dict[str, Any] = {
     "settings": PERIODIC | {"points": 96},

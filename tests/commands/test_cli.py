@@ -352,6 +352,7 @@ BAD_SPECIMENS = [
     ("roughconductor:material=gold", "got 'gold'; gold is Au\n"),
     ("conductor:material=Agg", "; did you mean Ag?\n"),
     ("diffuse:rho", "got 'diffuse:rho'"),
+    ("diffuse:reflectance=.5,reflectance=.6", "reflectance must be given once, got"),
     ("roughconductor:alpha=nan", "alpha must be a finite number, got nan\n"),
     ("dielectric:int_ior=-Inf", "int_ior must be a finite number, got -Inf\n"),
     ("point", "specimen must be a BSDF"),

@@ -79,7 +79,7 @@ def ratio(record: Record, weights: Floats, over: Floats | None = None) -> Floats
     signs = (np.maximum(sign * weights, 0) for sign in (1, -1))
     _, _, low, high = difference(*(ratio(record, part, over) for part in signs))
     # limits of correlated sums, and no nearer than where rays are few
-    ends = statistics.student_interval(value, std_err, one.tally.n_batches, LEVEL)
+    ends = statistics.student_interval(value, std_err, one.n_batches, LEVEL)
     return np.concatenate(
         [value, std_err, np.fmin(ends[0], low), np.fmax(ends[1], high)]
     )

@@ -14,7 +14,13 @@ from ...array_types import Floats
 from ...campaigns.measure import measure
 from ...collector import Borders, Receptors, Subdivision
 from ...collector.receptors import Window, holds
-from ...errors import SettingError, checked_choice, checked_number, warn
+from ...errors import (
+    SettingError,
+    SettingTypeError,
+    checked_choice,
+    checked_number,
+    warn,
+)
 from ...progress import counted
 from ...results.record import Record
 from ...specimen.loading import load_specimen, loaded_once
@@ -175,6 +181,10 @@ def record_quantity(record: Record, what: Any, over: Any = None) -> Quantity:
             light = f"{'parallel ' * parallel}light from {theta_i:g} degrees"
             raise SettingError(f"{what} needs {own.light}, got a record of {light}")
         return Quantity.of(what, own, record, *evaluated(own, record))
+    if np.ndim(what) == 0:
+        raise SettingTypeError(
+            f"what must be the name of a quantity or weights of patches, got {what!r}"
+        )
     rows = checked_weights(record, [what] if over is None else [what, over])
     if np.any(rows[1:] < 0):
         raise SettingError("over must hold weights of at least 0, got negative ones")

@@ -19,7 +19,7 @@ from ...array_types import Floats, Integers
 from ...collector.directions import angles, direction as unit_vectors
 from ...collector.hemisphere import Subdivision
 from ...collector.klems import KLEMS, Klems
-from ...errors import FileFormatError
+from ...errors import FileFormatError, printable
 from ...files.checks import require, size_of
 from ...files.numbers import decimal
 from ...results.record import XYZ
@@ -98,8 +98,8 @@ class Product:
 
     def text(self) -> str:
         """Elements of the file."""
-        lines = [f"<Name>{escape(self.name)}</Name>"]
-        lines += [f"<Manufacturer>{escape(self.manufacturer)}</Manufacturer>"]
+        texts = {"Name": self.name, "Manufacturer": self.manufacturer}
+        lines = [f"<{k}>{escape(printable(x))}</{k}>" for k, x in texts.items()]
         for key in ("Thickness", "Width", "Height"):
             value = getattr(self, key.lower())
             value = 0.0 if value is None and key == "Thickness" else value

@@ -1,5 +1,6 @@
 """Workers end when they should: what users do to a campaign in several processes."""
 
+import errno
 import os
 import signal
 import subprocess
@@ -174,3 +175,13 @@ def test_threads_start_processes_one_after_another(monkeypatch):
     other.join(HANGS)
     assert not other.is_alive()
     assert execution.SAFE_PATH not in os.environ
+
+
+def test_full_shared_memory_is_named(monkeypatch):
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(execution, "_Workers", full)
+    message = "workers need semaphores in shared memory: No space.*/dev/shm"
+    with pytest.raises(OSError, match=message), execution.workers(2):
+        pass

@@ -168,6 +168,32 @@ def test_settings_of_another_kind_are_refused(path, key, value):
     assert cli.main(["show", str(path)]) == cli.USER_ERROR
 
 
+@pytest.mark.parametrize("angle", ["theta_i", "phi_i"])
+def test_parallel_light_from_nowhere_is_refused(path, angle):
+    """Only of an environment no direction is known."""
+    nowhere = replace(RECORD, **{angle: np.array([np.nan])})
+    nowhere.with_provenance(emitter="ConstantBackgroundEmitter").save(path)
+    assert np.isnan(getattr(gonio.load(path), angle)).all()
+    nowhere.with_provenance(emitter="DirectionalEmitter").save(path)
+    assert "its incident direction is NaN" in refused(path)
+
+
+def test_a_name_of_any_length_is_told_in_short(path, capsys):
+    """Exact: at most ten thousand characters of nine million, and their line breaks."""
+    RECORD.with_settings(specimen="a b, c=1 " * 1_000_000).save(path)
+    assert cli.main(["show", str(path)]) == 0
+    assert len(capsys.readouterr().out) < 20_000
+
+
+def test_a_pipe_by_the_name_of_a_temporary_file_is_left_alone(tmp_path):
+    """It would wait for a writer, for ever."""
+    pipe = tmp_path / f"{writing.PREFIX}a{writing.SUFFIX}"
+    os.mkfifo(pipe)
+    writing.remove_forgotten(tmp_path, 0)
+    RECORD.save(tmp_path / "a.npz")
+    assert pipe.exists()
+
+
 def test_twin_the_same_record_untouched_is_read(path):
     """So that what refuses the records above is what was done to them."""
     for record in (RECORD, tampered(), replace(RECORD, theta_i=np.array([89.9]))):

@@ -107,14 +107,18 @@ def loaded(monkeypatch, *version):
 # ---------------------------------------------------------------- version and verdict
 
 
-def test_too_late(before_drjit):
+@pytest.mark.parametrize("installed", [True, False])
+def test_too_late(before_drjit, installed):
+    """What is installed needs not be installed."""
+    found = [(19, "/nonexistent/libLLVM.so.19.1")] * installed
+    before_drjit.setattr(llvm, "_libraries", lambda: found)
     loaded(before_drjit, 15, 0, 6)
     llvm.prepare()
     assert VARIABLE not in os.environ
     assert llvm.status().version == (15, 0, 6)
-    with pytest.raises(
-        LLVMError, match=r"15\.0\.6.* and import gonio_mi before mitsuba"
-    ):
+    first = ": " if installed else ": .* and "
+    match = rf"15\.0\.6.*newer{first}import gonio_mi before mitsuba"
+    with pytest.raises(LLVMError, match=match):
         llvm.check()
 
 
@@ -124,15 +128,25 @@ def test_loaded_and_good(before_drjit):
     llvm.check()
 
 
-@pytest.mark.parametrize("there", [True, False])
-def test_named_but_not_loaded(before_drjit, tmp_path, there):
+NAMED = {
+    "touch": "is no LLVM that can be loaded",
+    "mkdir": "is a folder, not a library",
+    "exists": "does not exist",
+}
+
+
+@pytest.mark.parametrize("make", NAMED)
+@pytest.mark.parametrize("ours", [True, False])
+def test_named_but_not_loaded(before_drjit, tmp_path, make, ours):
+    """Only what the user has set is to be unset."""
     path = tmp_path / "libLLVM.so.19.1"
-    if there:
-        path.touch()
+    getattr(path, make)()
+    found = [(19, str(path))] * ours
+    before_drjit.setattr(llvm, "_libraries", lambda: found)
     before_drjit.setenv(VARIABLE, str(path))
     loaded(before_drjit, -1, -1, -1)
-    how = "is no LLVM that can be loaded" if there else "does not exist"
-    match = rf"{path} \({VARIABLE}\) {how}, .* and unset {VARIABLE}"
+    step = "install it anew$" if ours else f".* and unset {VARIABLE}$"
+    match = rf"{path} \({VARIABLE}\) {NAMED[make]}, .*newer: {step}"
     with pytest.raises(LLVMError, match=match):
         llvm.check()
 

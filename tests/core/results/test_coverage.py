@@ -273,3 +273,25 @@ def test_the_benchmark_finds_nominal_coverage(estimator):
         wrong.add(record, truth, warned=False)
     assert wrong.mean("dhr")[0] == 0
     disagree(often_enough(wrong.covered["dhr"]))
+
+
+@pytest.mark.parametrize("estimator", ["next_event", "weighted"])
+def test_few_rays_of_a_small_near_emitter_cover(estimator):
+    """Exact by symmetry: half of the light falls on either half of the plate.
+
+    Most of it is in the batch that has the ray nearest to the emitter. Twin: Student's
+    t of batches as if all of them had as much.
+    """
+    case = CASES["near emitter"]
+    specimen, covered, students = mi.load_dict(case.specimen()), [], []
+    for seed in range(3 * SEEDS // 2):
+        how = case.settings | {"estimator": estimator, "rays": 300, "seed": seed}
+        record = gonio.measure(specimen, **how)
+        low, high = record.interval(LEVEL, of="dhr")
+        covered.append(low[0] <= 0.5 <= high[0])
+        (tally,) = record.tallies
+        own = batch_std_err(tally.sums[:, 0].sum(axis=(1, 2)), tally.incident)
+        half = special.stdtrit(15, (1 + LEVEL) / 2) * own[0]
+        students.append(abs(record.dhr[0] - 0.5) <= half)
+    agree(often_enough(covered))
+    disagree(often_enough(students))

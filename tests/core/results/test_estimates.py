@@ -166,6 +166,18 @@ def test_points_that_send_most_of_a_patch_are_counted():
     disagree(often_enough([each[1, 3] for each in held]))
 
 
+def test_rounding_of_lines_is_in_what_rays_correct():
+    """Exact: the total is off by as much to either side, and so is its error."""
+    off, found = 0.5, []
+    for rounding in (0.0, off):
+        one = ControlledEstimates(tally(), independent=False, rounding=rounding)
+        found.append((one.total_std_err(0), *one.total_interval(0, LEVEL)))
+    (before, low, _), (std_err, below, above) = found
+    close(std_err, np.hypot(before, off * one.total(0)))
+    close([below, above], one.total(0) * np.array([[1 - off], [1 + off]]))
+    assert low > below
+
+
 def test_an_empty_patch_may_be_of_the_largest_weight():
     estimates = SampledEstimates(tally(weight=4.0), independent=True)
     _, high = estimates.interval(0, LEVEL)

@@ -28,6 +28,31 @@ def test_a_stack_is_its_directions():
     assert STACK.ledger.emitted == sum(STACK[i].ledger.emitted for i in range(3))
 
 
+@pytest.mark.parametrize("index", [None, "x", 1.5, (0, 1), True])
+def test_what_is_no_index(index):
+    with pytest.raises(TypeError, match="index must be a whole number or a slice, got"):
+        STACK[index]
+
+
+def test_indices_that_a_stack_does_not_have():
+    assert STACK[np.int64(1)] == STACK[1]
+    for index in (3, -4):
+        with pytest.raises(IndexError, match=f"of 3 incident directions, got {index}"):
+            STACK[index]
+
+
+def test_a_record_is_no_array():
+    with pytest.raises(TypeError, match="a Record is no array: take one of its attr"):
+        np.asarray(STACK)
+
+
+@pytest.mark.parametrize("path", [None, 3])
+def test_what_is_no_path(path):
+    for use in (STACK.save, load):
+        with pytest.raises(TypeError, match=f"path must be .* a path, got {path}"):
+            use(path)
+
+
 def test_what_sums_to_the_totals():
     fractions = STACK.flux_fraction
     assert fractions.shape == (3, 2, 6, 8, 1)

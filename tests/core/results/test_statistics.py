@@ -48,6 +48,24 @@ def test_std_err_of_unequal_batches_is_cochrans():
     )
 
 
+def test_std_err_of_unlike_batches_leaves_each_out():
+    """Efron's jackknife; of a batch that has most, Cochran's sees little deviation."""
+    sums, incident = np.array([1.0, 2.0, 90.0]), np.array([3.0, 5.0, 92.0])
+    without = (sums.sum() - sums) / (incident.sum() - incident)
+    expected = np.sqrt(np.sum((without - 93 / 100) ** 2) * (1 - 1 / 3))
+    found = statistics.batch_std_err(sums, incident, unlike=True)
+    # rounding: some ten operations, one of them a difference of near numbers
+    np.testing.assert_allclose(found, expected, rtol=64 * EPS)
+    assert found > 2 * statistics.batch_std_err(sums, incident)
+
+
+def test_effective_batches():
+    """Exact: all of them if alike, in any unit; one that has all is one and a part."""
+    np.testing.assert_array_equal(statistics.effective_batches(np.full(16, 2.0)), 16)
+    alone = np.array([0.0, 0.0, 0.0, 1.0])
+    np.testing.assert_array_equal(statistics.effective_batches(alone), 1 + 3 / 4)
+
+
 def test_binomial_std_err():
     std_err = statistics.binomial_std_err(np.array([0, 25, 100]), 100)
     # rounding: some five operations

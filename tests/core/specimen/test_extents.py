@@ -8,8 +8,9 @@ from scipy.interpolate import BSpline
 from specimens import GREY
 
 import gonio_mi as gonio
+from gonio_mi.errors import SpecimenError
 from gonio_mi.specimen import shapes
-from gonio_mi.specimen.shapes import bounds
+from gonio_mi.specimen.shapes import bounds, farthest
 
 SINGLE = 2.0**-22
 
@@ -118,3 +119,46 @@ def test_one_surface_is_measured_as_another_shape_of_it(name, tmp_path, monkeypa
         agree(single(z))
     monkeypatch.setattr(shapes, "SURFACES", {})
     disagree(single(scores(shape, other)[0]))
+
+
+@pytest.mark.parametrize(
+    ("kind", "points"),
+    [
+        ("sphere", None),
+        ("rectangle", [(1, 1, 0), (-1, 1, 0), (1, -1, 0), (-1, -1, 0)]),
+        ("disk", "circle"),
+        ("cylinder", "circle"),
+        ("cube", [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]),
+    ],
+)
+def test_farthest_point_from_the_origin(kind, points):
+    """That of many points, turned and moved by NumPy; no box has it."""
+    turn = mi.ScalarTransform4f().translate([0.3, -0.2, 0.5])
+    turn = turn.rotate([2 / 3, 1 / 3, 2 / 3], 40).scale(
+        0.7 if kind == "sphere" else [0.7, 0.7, 1]
+    )
+    angle = np.linspace(0, 2 * np.pi, 100_001)
+    if points == "circle":
+        points = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+        if kind == "cylinder":
+            points = np.concatenate([points, points + [0, 0, 1]])
+    matrix = np.array(turn.matrix, dtype=float).reshape(4, 4)
+    truth = 0.7 + np.linalg.norm(matrix[:3, 3])
+    if points is not None:
+        moved = np.array(points) @ matrix[:3, :3].T + matrix[:3, 3]
+        truth = np.linalg.norm(moved, axis=1).max()
+    shape = mi.load_dict({"type": kind, "to_world": turn})
+    # a polygon about a circle is larger by (pi / 2048)^2 / 2 of its radius
+    assert -SINGLE < farthest([shape]) - truth < 2e-6
+    corner = np.linalg.norm(np.abs(bounds([shape])).max(axis=0))
+    assert corner > 1.02 * truth
+
+
+def test_a_collector_needs_to_enclose_a_ball_alone():
+    """Exact: all light of a white ball arrives; its box has a corner at sqrt(3)."""
+    ball = {"type": "sphere", "bsdf": {"type": "conductor", "material": "none"}}
+    how = {"rays": 1000, "collector": "projected:2x4", "hemispheres": "both"}
+    record = gonio.measure(ball, 30, collector_radius=1.01, **how)
+    np.testing.assert_allclose(record.dhr + record.dht, 1, rtol=SINGLE)
+    with pytest.raises(SpecimenError, match=r"reaches 1 from the origin, got 0\.99"):
+        gonio.measure(ball, 30, collector_radius=0.99, **how)

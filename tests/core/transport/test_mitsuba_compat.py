@@ -67,6 +67,20 @@ def test_new_flags(of_310):
     assert found == (0, 1, 1, 3)
 
 
+def test_renamed_methods_of_a_mesh():
+    """Either name is asked; a box that cannot be recomputed is as it is."""
+    has_normals, recompute = mitsuba_compat.has_normals, mitsuba_compat.recompute_box
+    for found in (True, False):
+        assert has_normals(SimpleNamespace(has_normals=lambda f=found: f)) is found
+        assert (
+            has_normals(SimpleNamespace(has_vertex_normals=lambda f=found: f)) == found
+        )
+    recompute(SimpleNamespace())
+    calls = []
+    recompute(SimpleNamespace(recompute_bbox=lambda: calls.append(1)))
+    assert calls == [1]
+
+
 def test_mesh():
     mesh = mitsuba_compat.mesh_of(
         mi.Properties("ply"), "square", POINTS, FACES, texcoords=UV

@@ -1,12 +1,14 @@
 """A file that was given to the wrong command is told which command takes it."""
 
 import re
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 import synthetic
 
 from gonio_mi.cli import COMMANDS, main
+from gonio_mi.exchange.formats.radiance import Product
 from gonio_mi.surfaces import height_map_reader
 
 KINDS = {
@@ -147,3 +149,9 @@ def test_without_a_command_all_are_named(capsys):
     assert "gonio-mi --help" in line
     for command in COMMANDS:
         assert command in line
+
+
+def test_control_characters_of_a_name_are_escaped_in_xml():
+    """Exact: XML can hold none of them; a reader sees what a terminal would."""
+    text = f"<a>{Product(name=chr(0) + 'a<' + chr(27), manufacturer='b').text()}</a>"
+    assert ElementTree.fromstring(text).findtext("Name") == r"\x00a<\x1b"
