@@ -96,16 +96,10 @@ def set_up(
         whatever a BSDF of the specimen raises.
     """
     sampler = _loaded_sampler(settings)
-    radius = settings.collector_radius
-    collector = CollectorSphere(settings.collector, settings.hemispheres, radius)
     specimen = Specimen(scene, settings.period, name)
     _check_specimen(specimen, settings)
     defects = _defects(specimen, settings)
-    if 0 < radius <= specimen.radius:
-        raise SpecimenError(
-            "collector.radius must enclose the specimen, which reaches "
-            f"{specimen.radius:.7g} from the origin, got {radius}"
-        )
+    collector = _collector(specimen, settings)
     described = described_digest(emitter)
     choice = None
 
@@ -113,11 +107,8 @@ def set_up(
         settings: MeasurementSettings, incident: tuple[float, float] | None
     ) -> Setup:
         """The specimen, lit from a direction, or by the emitter as it is."""
-        if emitter is None and incident is not None:
-            vector = towards(incident, settings.side)
-            source, lights = None, [collimated(vector)]
-            beam = _beam(specimen, settings, lights).turned(vector)
-        else:
+        source, beam = None, _collimated_beam(specimen, settings, emitter, incident)
+        if beam is None:
             source = emitter_scene(scene, emitter, incident, settings.side)
             beam = _beam(specimen, settings, source.emitters())
         method = METHODS[settings.estimator]
@@ -157,6 +148,17 @@ def set_up(
         return [first, *(lit(settings, incident) for incident in incidents[1:])]
     beams = (first.beam.turned(towards(one, settings.side)) for one in angles[1:])
     return [first, *map(first.turned, beams, angles[1:])]
+
+
+def _collector(specimen: Specimen, settings: MeasurementSettings) -> CollectorSphere:
+    """Collector of the settings; SpecimenError if the specimen does not fit inside."""
+    radius = settings.collector_radius
+    if 0 < radius <= specimen.radius:
+        raise SpecimenError(
+            "collector.radius must enclose the specimen, which reaches "
+            f"{specimen.radius:.7g} from the origin, got {radius}"
+        )
+    return CollectorSphere(settings.collector, settings.hemispheres, radius)
 
 
 def _short_run(setup: Setup, each: int) -> Tally:
@@ -203,6 +205,19 @@ def _defects(specimen: Specimen, settings: MeasurementSettings) -> tuple[str, ..
             warn(sentence)
         _known_defects[key] = sentences
     return _known_defects[key]
+
+
+def _collimated_beam(
+    specimen: Specimen,
+    settings: MeasurementSettings,
+    emitter: object,
+    incident: tuple[float, float] | None,
+) -> Beam | None:
+    """Collimated light from a direction; None where an emitter is to be taken."""
+    if emitter is not None or incident is None:
+        return None
+    vector = towards(incident, settings.side)
+    return _beam(specimen, settings, [collimated(vector)]).turned(vector)
 
 
 def _beam(

@@ -56,12 +56,14 @@ CORE = """
     campaigns/test_folders.py::test_task_files_are_records
     collector/test_patches_of_incidence.py::test_solid_angles_of_cells_are_integrals
     files/test_files.py::test_load_equals_save
-    instrument/test_first_mistakes.py::test_light_that_misses_is_told_once
+    estimators/test_every_estimator.py::test_what_it_says_of_itself_is_so[weighted]
+    instrument/test_rounds.py::test_rounds_lead_to_the_plan
     plots/test_drawn_patches.py::test_each_place_has_the_value_of_its_patch
     plugins/test_plugins.py::test_examples_of_manual_pages_load_and_are_the_same
     quadrature/test_quadrature.py::test_lambertian
     reports/test_reports.py::test_page_holds_the_record results/test_record.py
     results/test_estimates.py settings/test_settings.py
+    specimen/test_first_mistakes.py::test_light_that_misses_is_told_once
     surfaces/test_height_steps.py::test_the_step_is_found
     transport/test_divergence.py::test_records_tell_the_divergence
 """
