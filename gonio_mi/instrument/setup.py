@@ -114,9 +114,7 @@ def set_up(
         method = METHODS[settings.estimator]
         # integrals have an error of their own
         goal = replace(settings, noise=None) if method.integrates else settings
-        of_emitter = None
-        if not beam.collimated:
-            of_emitter = described or emitter_digest([beam.emitter])
+        told = None if beam.collimated else described or emitter_digest([beam.emitter])
         return Setup(
             goal,
             method,
@@ -125,7 +123,7 @@ def set_up(
             collector,
             sampler,
             incident,
-            emitter_digest=of_emitter,
+            emitter_digest=told,
             source=source,
             orders=tuple(orders),
             defects=defects,
