@@ -50,16 +50,15 @@ class RecordObservations:
         self.stated = not without_chance(single.tallies)
 
     def variances(self, predicted: Floats) -> Floats:
-        """Variances for weights: the record's, shared among like detectors."""
+        """Variances for weights: the record's, smoothed over the detectors' flux."""
         found = self._std_errs() ** 2
-        if not self._has_batches:
+        if self.single.asked.estimator.integrates:
             least = MODEL_INTEGRAL_ERR * (self.values + self.values.mean())
             return found + least**2
-        channels = len(self.single.channels)
-        hits = self._kept(np.repeat(self._tally.hits[..., None], channels, axis=-1))
-        # a tenth of a ray, where all batches received the same
-        least = 0.1 / max(self.single.ledger.emitted, 1)
-        return np.maximum(pooled(found, hits.astype(np.int64), predicted), least**2)
+        channels, hits = len(self.single.channels), float(self._tally.hits.sum())
+        columns = found.reshape(-1, channels).T, predicted.reshape(-1, channels).T
+        each = [smoothed(*both, both[1].sum() / hits) for both in zip(*columns)]
+        return np.stack(each, axis=-1).ravel()
 
     def misfit(self, predicted: Floats) -> float:
         """Chi-square; of integrals, of distances relative to value and mean."""
@@ -192,38 +191,36 @@ def _predictions(single: Record) -> list[PatchPredictions] | list[ConePrediction
     ]
 
 
-# Patches that share a variance, and the hits that they must have together.
-MIN_POOLED_PATCHES, MIN_POOLED_HITS = 16, 100
+# Power of the flux that a variance is: 0 of noise from elsewhere, 1 of counts, 2 of
+# light that fluctuates as a whole.
+MIN_POWER, MAX_POWER = 0.0, 2.0
 
 
-def pooled(variances: Floats, hits: Integers, brightness: Floats) -> Floats:
-    """Mean variance of the patches that are about as bright.
+def smoothed(variances: Floats, flux: Floats, hit: float) -> Floats:
+    """Variances as a power of the flux that a model predicts, about as those given.
 
-    A variance from 16 batches is itself off by a third, and a patch that has by chance
-    received too little has too small a one as well: weights from single variances
-    would bias a fit, and make it look better than it is. Here they are shared by
-    patches of similar `brightness`, which is a model's and not the record's.
+    A detector that has by chance received too little has too small a variance as well:
+    weights from variances of single detectors, or of few, would pull a fit down by what
+    a hit of each is worth. Two numbers for all detectors, and the model's flux, know
+    nothing of a single one's chance (Carroll and Ruppert 1988, *Transformation and
+    Weighting in Regression*, chapter 3). They are the most likely for variances that
+    follow a gamma distribution, whose quotients by these have the mean 1.
 
     Parameters
     ----------
-    variances, hits, brightness : ndarray, shape (n,)
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Positive, if any patch has a variance.
+    variances, flux : ndarray, shape (n,)
+    hit : float
+        Flux of a hit, with which detectors that received none are uncertain as well.
     """
-    order = np.argsort(brightness, kind="stable")
-    starts, patches, total = [0], 0, 0
-    for i, n in enumerate(hits[order].tolist()):
-        if patches >= MIN_POOLED_PATCHES and total >= MIN_POOLED_HITS:
-            starts.append(i)
-            patches = total = 0
-        patches, total = patches + 1, total + n
-    if len(starts) > 1 and (patches < MIN_POOLED_PATCHES or total < MIN_POOLED_HITS):
-        starts.pop()
-    sizes = np.diff([*starts, len(order)])
-    means = np.add.reduceat(variances[order], starts) / sizes
-    found = np.empty_like(variances)
-    found[order] = np.repeat(means, sizes)
-    return found
+    from scipy.optimize import minimize_scalar
+
+    log_flux = np.log(flux + hit)
+    log_flux -= log_flux.mean()
+    given = variances + hit**2
+
+    def deviance(power: float) -> float:
+        return float(np.log(np.mean(given * np.exp(-power * log_flux))))
+
+    limits = MIN_POWER, MAX_POWER
+    power = minimize_scalar(deviance, bounds=limits, method="bounded").x
+    return np.mean(given * np.exp(-power * log_flux)) * np.exp(power * log_flux)
