@@ -11,6 +11,7 @@ from ...errors import SettingError
 from ...files.measured_table import MeasuredTable
 from ...results.record import Record
 from ...results.tally import without_chance
+from ...single_precision import FEW_ROUNDINGS
 from .predictions import ConePredictions, PatchPredictions
 
 # Relative error of the integrals of a model, in no error bar of a record of integrals;
@@ -55,10 +56,20 @@ class RecordObservations:
         if self.single.asked.estimator.integrates:
             least = MODEL_INTEGRAL_ERR * (self.values + self.values.mean())
             return found + least**2
-        channels, hits = len(self.single.channels), float(self._tally.hits.sum())
-        columns = found.reshape(-1, channels).T, predicted.reshape(-1, channels).T
-        each = [smoothed(*both, both[1].sum() / hits) for both in zip(*columns)]
+        n, hits = len(self.single.channels), float(self._tally.hits.sum())
+        columns = (one.reshape(-1, n).T for one in (found, predicted, self.values))
+        least = FEW_ROUNDINGS * self.values.sum()  # of a channel without light
+        each = [
+            smoothed(variances, flux, max(values.sum(), least) / hits)
+            for variances, flux, values in zip(*columns)
+        ]
         return np.stack(each, axis=-1).ravel()
+
+    def count(self, variances: Floats) -> float:
+        """How many values chi-square has; one of less than a hit counts in part."""
+        if self.single.asked.estimator.integrates:
+            return float(self.values.size)
+        return float(np.sum(self._std_errs() ** 2 / variances))
 
     def misfit(self, predicted: Floats) -> float:
         """Chi-square; of integrals, of distances relative to value and mean."""
@@ -67,13 +78,19 @@ class RecordObservations:
         return float(np.sum((predicted - self.values) ** 2 / variances))
 
     def propagated(self, estimate: Floats, variances: Floats) -> Floats:
-        """Covariance of a linear estimate: by batches, detectors together."""
+        """Covariance of a linear estimate: by batches, detectors together.
+
+        And by single precision: where all rays came, the batches say that the sum of
+        what they carry is exact.
+        """
+        rounding = FEW_ROUNDINGS * (estimate @ self.values)
+        least = np.outer(rounding, rounding)
         if not self._has_batches:
-            return (estimate * variances) @ estimate.T
+            return (estimate * variances) @ estimate.T + least
         incident = self._tally.incident.astype(float)[:, None, None, None]
         batches = np.stack([self._kept(one) for one in self._tally.sums / incident])
         each = batches @ estimate.T
-        return np.atleast_2d(np.cov(each, rowvar=False)) / len(batches)
+        return np.atleast_2d(np.cov(each, rowvar=False)) / len(batches) + least
 
     def _kept(self, values: Floats) -> Floats:
         """Values of the detectors, without what is between them, in one row."""
@@ -138,6 +155,10 @@ class TableObservations:
             found = found * dof / (dof - 2)
         found = np.maximum(found, 0) + (relative * predicted) ** 2
         return found + (MODEL_INTEGRAL_ERR * (np.abs(self.values).mean())) ** 2
+
+    def count(self, variances: Floats) -> float:
+        """How many values chi-square has."""
+        return float(variances.size)
 
     def misfit(self, predicted: Floats) -> float:
         """Chi-square; without variances, of distances relative to both values.
