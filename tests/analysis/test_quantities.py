@@ -768,7 +768,9 @@ def test_ctrl_c_ends_all_quantities(monkeypatch, capsys):
 
     monkeypatch.setattr(module, "measure", pressed)
     assert main(words) == 2
-    assert capsys.readouterr().out.startswith("gloss20: ")
+    told = capsys.readouterr()
+    assert told.out.startswith("gloss20: ")
+    assert "interrupted: the numbers are of what was finished" in told.err
     assert len(calls) == 2
     calls[:] = [None]
     assert main(words) == 2

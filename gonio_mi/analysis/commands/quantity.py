@@ -16,6 +16,7 @@ their rays.
 """
 
 import sys
+import warnings
 from argparse import ArgumentParser, Namespace
 
 from ...commands import arguments
@@ -51,11 +52,14 @@ def run(options: Namespace) -> int:
     specimen = prepared_surface(specimen, options)
     settings = arguments.given_settings(options) | {"parameters": parameters}
     progress = not options.quiet and sys.stderr.isatty()
-    found, stopped = quantities(
-        options.names, specimen, options.phi_i, progress, settings
-    )
+    # said below, of all that is printed
+    warnings.filterwarnings("ignore", "interrupted: ", RuntimeWarning)
+    given = options.names, specimen, options.phi_i, progress, settings
+    found, stopped = quantities(*given)
     if options.json:
         arguments.tell_json([one.to_dict() for one in found])
     elif not options.quiet:
         arguments.tell("\n".join(map(str, found)))
+    if stopped:
+        arguments.say("interrupted: the numbers are of what was finished until then")
     return arguments.INCOMPLETE if stopped else arguments.DONE
