@@ -42,10 +42,14 @@ Group: TypeAlias = argparse._ActionsContainer
 # ------------------------------------------------------------- options and arguments
 
 
-def add_specimen(parser: argparse.ArgumentParser) -> None:
+SURFACES = "a height map (x3p, ...), a mesh (obj, ply, stl) with --bsdf, "
+
+
+def add_specimen(parser: argparse.ArgumentParser, surfaces: str = SURFACES) -> None:
     """Add the argument that :func:`specimen_of` understands."""
-    text = "A Mitsuba scene file, a height map (x3p, ...), a mesh (obj, ply, stl) with "
-    text += "--bsdf, or a BSDF such as roughconductor:alpha=0.2."
+    text = (
+        f"A Mitsuba scene file, {surfaces}or a BSDF such as roughconductor:alpha=0.2."
+    )
     add_text(parser, "specimen", "SPECIMEN", text)
 
 

@@ -222,19 +222,16 @@ class SampledEstimates(Estimates):
     def std_err(self, hemisphere: int) -> Floats:
         """Standard error of :meth:`fraction`; NaN where it is :meth:`dark`.
 
-        Where it is :meth:`pooled`, at least what the mean square of a hit in all
-        patches makes of the hits of this one.
+        Where it is :meth:`pooled`, at least that of the heavy hits that other patches
+        let expect.
         """
         scatter, hits = self._scatter(hemisphere), self.hits[hemisphere][..., None]
         if self.binomial:
             return scatter
-        heavy = self._heavy(hemisphere)
-        pooled = self._rare(self.fraction(hemisphere), scatter, hits, heavy)
-        if not pooled.any():
-            return scatter
-        squares = np.nan_to_num(scatter) ** 2 / np.maximum(hits, 1)
-        square = squares.sum(axis=(0, 1)) / (hits > 0).sum()
-        return np.where(pooled, np.fmax(scatter, np.sqrt(square * hits)), scatter)
+        heavy, share = self._heavy(hemisphere)
+        value, least = self.fraction(hemisphere), np.sqrt(share * hits) * heavy
+        pooled = self._rare(value, scatter, hits, heavy, share)
+        return np.where(pooled, np.fmax(scatter, least), scatter)
 
     def pooled(self, hemisphere: int) -> Flags:
         """Whether hits much heavier than its mean one are rare in a patch."""
@@ -242,14 +239,14 @@ class SampledEstimates(Estimates):
             return super().pooled(hemisphere)
         hits = self.hits[hemisphere][..., None]
         value, scatter = self.fraction(hemisphere), self._scatter(hemisphere)
-        return self._rare(value, scatter, hits, self._heavy(hemisphere))
+        return self._rare(value, scatter, hits, *self._heavy(hemisphere))
 
     def n_heavy(self, hemisphere: int) -> Floats:
         """How many of the hits make patches scatter, shape ``(channels,)``.
 
         Infinite where they are not much heavier than the mean one.
         """
-        heavy, hits = self._heavy(hemisphere), self.tally.hits[hemisphere].sum()
+        (heavy, _), hits = self._heavy(hemisphere), self.tally.hits[hemisphere].sum()
         square = np.nansum(self._scatter(hemisphere) ** 2, axis=(0, 1))
         alone = heavy * hits > MIN_WEIGHT_RATIO * self.total(hemisphere)
         return np.divide(
@@ -257,20 +254,31 @@ class SampledEstimates(Estimates):
         )
 
     def _rare(
-        self, value: Floats, scatter: Floats, hits: Counts | int, heavy: Floats
+        self,
+        value: Floats,
+        scatter: Floats,
+        hits: Counts | int,
+        heavy: Floats,
+        share: Floats | float = 1.0,
     ) -> Flags:
-        """Whether hits as `heavy` as scatter are rare in a `value` of so many hits."""
-        many = scatter**2 >= MIN_EVEN_HITS * heavy**2
-        return (hits > 0) & (heavy * hits > MIN_WEIGHT_RATIO * value) & ~many
+        """Whether hits as `heavy` as scatter are rare in a `value` of so many hits.
+
+        Their `share` in its hits must be so large that they would scatter more than it
+        does, or it must have received one.
+        """
+        square = np.nan_to_num(scatter) ** 2
+        few = square < MIN_EVEN_HITS * heavy**2
+        some = (square < share * hits * heavy**2) | (2 * square > heavy**2)
+        return (hits > 0) & (heavy * hits > MIN_WEIGHT_RATIO * value) & few & some
 
     def _heavy(self, hemisphere: int) -> Floats:
         """Weight of the hits that make patches scatter, as part of the incident flux.
 
-        One per channel.
+        One per channel; and their share in all hits.
         """
         hits = self.hits[hemisphere][..., None]
         sums = self.tally.sums[:, hemisphere]
-        return statistics.scatter_weight(sums, self._incident, hits)
+        return statistics.heavy_hits(sums, self._incident, hits)
 
     def _scatter(self, hemisphere: int) -> Floats:
         """Standard error of :meth:`fraction` from its own batches, or its own hits."""
@@ -294,10 +302,10 @@ class SampledEstimates(Estimates):
             return statistics.binomial_interval(hits, self.rays, level)
         with np.errstate(invalid="ignore"):
             weight = fraction * self.rays / hits
-        scatter, heavy = self._scatter(hemisphere), self._heavy(hemisphere)
+        scatter, (heavy, share) = self._scatter(hemisphere), self._heavy(hemisphere)
         largest = np.nanmax(weight, initial=1.0)
         few = self._few(fraction, scatter, hits)
-        rare = self._rare(fraction, scatter, hits, heavy)
+        rare = self._rare(fraction, scatter, hits, heavy, share)
         regime = Regime.FEW * few + Regime.RARE * rare
         regime = np.where(self.dark(hemisphere), Regime.DARK, regime)
         missed = np.where(few, largest, weight) if self.deposited else weight
@@ -344,7 +352,7 @@ class SampledEstimates(Estimates):
         """Limits of :meth:`total`."""
         value, std_err = self.total(hemisphere), self.total_std_err(hemisphere)
         hits = self.tally.hits[hemisphere].sum() // self.passes
-        heavy = self._heavy(hemisphere)
+        heavy, _ = self._heavy(hemisphere)
         return self._sampled_interval(value, std_err, hits, heavy, level)
 
     @property

@@ -74,8 +74,8 @@ def effective_batches(incident: Numbers) -> Floats:
     return np.asarray(1 + alike * (n - 1) / n)
 
 
-def scatter_weight(sums: Numbers, incident: Numbers, hits: Counts) -> Floats:
-    """Weight of the hits that make sums scatter between batches, over `incident`.
+def heavy_hits(sums: Numbers, incident: Numbers, hits: Counts) -> Floats:
+    """Weight of the hits that make sums scatter between batches, and their share.
 
     A sum of independent hits has the cumulants ``n E[w**2]`` and ``n E[w**3]``. What
     `n` hits of a patch's own mean weight would have of them is taken off, for patches
@@ -92,14 +92,16 @@ def scatter_weight(sums: Numbers, incident: Numbers, hits: Counts) -> Floats:
 
     Returns
     -------
-    ndarray of float64, shape (channels,)
-        As part of all incident flux, at most the largest sum; 0 for fewer than three
-        batches, which do not tell, and for sums that are no more skewed by chance
-        where all hits of a patch weigh the same.
+    weight, share : ndarray of float64, shape (channels,)
+        The weight as part of all incident flux, at most the largest sum; 0 for fewer
+        than three batches, which do not tell, and for sums that are no more skewed by
+        chance where all hits of a patch weigh the same. Their share in all hits is by
+        the third cumulants of all patches together: those of a patch of few hits, per
+        hit, tell little of the others.
     """
     n = len(sums)
     if n < 3:
-        return np.zeros(sums.shape[-1])
+        return np.zeros((2, sums.shape[-1]))
     square, cube = np.zeros((2, *sums.shape[1:]))
     incident = np.asarray(incident, dtype=float)
     fraction = ratio(sums, incident)
@@ -115,7 +117,8 @@ def scatter_weight(sums: Numbers, incident: Numbers, hits: Counts) -> Floats:
     third = cube * (n**2 / ((n - 1) * (n - 2))) / count - alike * mean
     # both lack hits to know the mean: 1 - 1/h of them, and 1 - 1/h**2
     few = count / (count + 1)
-    third = (third * few).sum(axis=(0, 1))
+    thirds = third * few
+    third = thirds.sum(axis=(0, 1))
     # the third power that normal sums, and Poisson counts of hits alike, have by
     # chance; a single hit has that of one alike in any case
     normal = 6 * square * (square / (n * count)) ** 2
@@ -125,7 +128,10 @@ def scatter_weight(sums: Numbers, incident: Numbers, hits: Counts) -> Floats:
     known = (third > MIN_SKEWNESS * chance) & (second > 0)
     weight = np.divide(third, second, out=np.zeros(len(second)), where=known)
     weight = np.minimum(weight, np.max(sums, axis=(0, 1, 2)))
-    return weight / incident.sum(axis=(0, 1, 2))
+    found = np.maximum((thirds * count).sum(axis=(0, 1)), 0.0)
+    share = np.zeros(len(weight))
+    np.divide(found, weight**3 * hits.sum(), out=share, where=weight > 0)
+    return np.stack([weight / incident.sum(axis=(0, 1, 2)), share])
 
 
 def binomial_std_err(hits: ArrayLike, rays: ArrayLike) -> Floats:

@@ -66,8 +66,8 @@ class MeasuredValues:
         """Standard error of `brdf`; NaN where nothing was received or known.
 
         From the scatter of the batches, or under an emitter of finite size from
-        leaving out each in turn; where a patch is `pooled`, at least what the mean
-        square of a hit in all patches makes of its number of hits. For integrals their
+        leaving out each in turn; where a patch is `pooled`, at least that of as many
+        heavy hits as are among its own on average over all patches. For integrals their
         estimated error, with that of the delta components.
         """
         return self._per_patch(lambda one: one.std_err(0))
@@ -278,9 +278,10 @@ class MeasuredValues:
         """Whether a patch's own hits tell too little of its scatter, like `counts`.
 
         Hits more than twice as heavy as its mean one make the patches of its hemisphere
-        scatter, and it has scattered as by fewer than 30 of them: bright spots on a
-        dark specimen, of which it has seen none, or one too many. Its standard error
-        and interval take their weight from all patches; in some channel at least.
+        scatter, and it has scattered as by fewer than 30 of them, and by less than
+        their share in all hits lets expect, or has received one: bright spots on a dark
+        specimen, of which it has seen none, or one too many. Its standard error and
+        interval take their weight from all patches; in some channel at least.
         """
         hemispheres = range(self.n_hemispheres)
         flags = [[one.pooled(i) for i in hemispheres] for one in self.estimates]

@@ -1,7 +1,9 @@
 """What instruments state, against closed forms and integrals of our own."""
 
 import json
+import sys
 import warnings
+from itertools import product
 from pathlib import Path
 
 import gonio_mi as gonio
@@ -16,8 +18,11 @@ from specimens import heightfield
 
 from gonio_mi.analysis.quantities import functionals
 from gonio_mi.analysis.quantities.definitions import DEFINITIONS, GROUPS
+from gonio_mi.analysis.quantities.quantity import _names, definition_of
+from gonio_mi.cli import main
 from gonio_mi.collector import Receptors
 from gonio_mi.collector.directions import direction
+from gonio_mi.errors import SettingError
 
 SCENES = Path(__file__).parents[2] / "scenes"
 ANGLES = {"gloss20": 20, "gloss60": 60, "gloss85": 85}
@@ -291,21 +296,21 @@ def test_beads_send_light_back():
 # ------------------------------------------------------------------------------ lobes
 
 
-def half_widths(alpha):
+def half_widths(alpha, theta_i=45):
     """Of means of `eval` over patches of 1 x 2 degrees, with straight lines between."""
     bsdf = mi.load_dict({"type": "roughconductor", "alpha": alpha})
-    angles, means = np.arange(20, 80), []
+    angles, means = np.arange(20, 89), []
     x, w = np.polynomial.legendre.leggauss(8)
-    phi = np.pi + np.radians(1) / np.sin(np.pi / 4) * x
+    phi = np.pi + np.radians(1) / np.sin(np.radians(theta_i)) * x
     for angle in angles:
         theta = np.radians(angle + x / 2)
         wo = direction(theta[:, None], phi).reshape(-1, 3)
         solid = np.outer(w * np.sin(theta), w).ravel()
-        value = eval_flux(bsdf, 45, 0, wo)[:, 0]
+        value = eval_flux(bsdf, theta_i, 0, wo)[:, 0]
         means.append(np.sum(value * solid) / np.sum(wo[:, 2] * solid))
-    fine = np.linspace(20, 79, 590001)
+    fine = np.linspace(20, 88, 680001)
     above = fine[np.interp(fine, angles, means) > max(means) / 2]
-    return 45 - above[0], above[-1] - 45
+    return theta_i - above[0], above[-1] - theta_i
 
 
 def test_half_widths_of_a_lobe():
@@ -500,7 +505,7 @@ BAD = [
     ),
     ("R_A:observation=x", WHITE, {}, "observation of R_A must be a number of degrees"),
     ("brf:phi_o=360", WHITE, {}, r"degrees in \[-360, 360\), got '360'"),
-    ("gloss60:a=1", WHITE, {}, "a parameter of gloss60 must be one of none"),
+    ("gloss60:a=1", WHITE, {}, "gloss60 takes no parameters, got 'a=1'"),
     ("brf:theta_o=89.5", WHITE, {}, "a window must be three or four angles"),
     ("lobe", {"type": "conductor"}, {}, "step must resolve a lobe"),
     (
@@ -553,8 +558,6 @@ def test_every_definition_has_its_words():
 
 def test_command(capsys):
     """It prints gloss at three angles, and JSON; its help names every quantity."""
-    from gonio_mi.cli import main
-
     words = ["quantity", "gloss", "roughplastic:alpha=0.1", "--rays", "1e4"]
     assert main(words) == 0
     text = capsys.readouterr().out
@@ -650,3 +653,154 @@ def test_no_integral_over_more_than_a_window():
     assert cone.flux_fraction[0, 0, 0, 0] == pytest.approx(expected, rel=1e-4)
     with pytest.raises(ValueError, match="needs round windows, none in another"):
         gonio.measure(WHITE, collector="receptors:20/180/5/5", **how)
+
+
+# ------------------------------------------------------------- parameters and words
+
+
+PARAMETERS = ("inner", "outer", "angle", "theta_i", "theta_o", "phi_o", "receptor")
+PARAMETERS += ("source", "trap", "observation", "entrance", "cone", "step", "colour")
+VALUES = ("-1", "-0.001", "0", "89", "90", "180", "1e9", "nan", "inf", "much", "")
+
+
+@pytest.mark.parametrize("name", [*DEFINITIONS, *GROUPS])
+def test_parameters_are_angles_that_there_are_or_refused(name):
+    """One sentence, or light and windows that there may be."""
+    refused = 0
+    for key, value in product(PARAMETERS, VALUES):
+        try:
+            each = [definition_of(one) for one in _names(f"{name}:{key}={value}")]
+        except SettingError:
+            refused += 1
+            continue
+        for own in each:
+            assert 0 <= own.theta_i < 90
+            for window in own.receptors + own.without + (own.over or ()):
+                assert 0 < max(window[2:]) < 180
+    # all values of what is no parameter, and of each the same absurd ones
+    assert refused >= len(PARAMETERS) * len(VALUES) // 2
+    with pytest.raises(SettingError, match=r"takes no parameters|must be one of"):
+        [definition_of(one) for one in _names(f"{name}:colour=1")]
+
+
+@pytest.mark.parametrize(
+    ("word", "message"),
+    [
+        ("gloss:theta=45", "gloss20 takes no parameters, got 'theta=45'"),
+        ("gloss60:theta_i=45", "gloss60 takes no parameters, got 'theta_i=45'"),
+        ("transmittance:cone=5", "must be one of theta_i, got 'cone'"),
+        ("tis:inner=80", "inner of tis must be less than outer, got 80 and 70"),
+        ("tis:inner=-1", r"inner of tis must be a number of degrees in \[0.01, "),
+        ("haze:angle=nan", "angle of haze must be a number of degrees"),
+        ("brf:theta_i=90", r"theta_i of brf must be a number of degrees in \[0, 90\)"),
+        ("brf:theta_i=89,source=4", "source must lie above the horizon, got 4"),
+        (
+            "R_A:observation=-1",
+            r"observation of R_A must be a number of degrees in \[0",
+        ),
+        ("tis:inner=1,inner=2", "inner of tis must be given once, got it twice"),
+        (
+            "lobe:step=40",
+            r"step of lobe_inner must be a number of degrees in \[0.05, 15\)",
+        ),
+    ],
+)
+def test_parameters_beyond_their_range_are_named(word, message):
+    with pytest.raises(SettingError, match=message):
+        gonio.quantity(word, WHITE, rays=100)
+
+
+def test_a_group_takes_the_parameters_of_its_quantities():
+    assert _names("lobe:step=2") == [f"{one}:step=2" for one in GROUPS["lobe"]]
+    assert [definition_of(one).theta_i for one in _names("lobe:theta_i=30")] == [30] * 3
+
+
+def test_one_half_width_needs_no_other():
+    """Of a lobe that the horizon cuts on the outer side, which is refused.
+
+    As in the test of both sides, and its twin.
+    """
+    rough = {"type": "roughconductor", "alpha": 0.16}
+    found = gonio.quantity("lobe_inner:theta_i=60", rough, rays=2**20)
+    for alpha, right in ((0.16, True), (0.17, False)):
+        width, _ = half_widths(alpha, 60)
+        off = abs(found.value / width - 1)
+        assert (off < 0.005 + 4 * found.std_err / width) == right
+    for other in ("lobe_outer", "lobe_asymmetry"):
+        with pytest.raises(SettingError, match="falls to half above the horizon"):
+            gonio.quantity(f"{other}:theta_i=60", rough, rays=2**20)
+
+
+def test_sums_of_patches_say_their_light_and_hemispheres():
+    """Exact; twin: another direction, the other hemisphere, both."""
+    record = gonio.measure(GLASS, [30, 45], 20, collector="projected:2x4", rays=1000)
+    for i, theta_i in enumerate((30, 45)):
+        for lit, side in (
+            ([1, 0], "reflected"),
+            ([0, 1], "transmitted"),
+            ([1, -1], "reflected and transmitted"),
+        ):
+            weights = np.multiply.outer(lit, np.ones((2, 4)))
+            said = str(record[i].quantity(weights))
+            light = f"light from (theta_i, phi_i) = ({theta_i}, 20) degrees"
+            assert f"{light}, {side};" in said
+    filled = gonio.measure(
+        WHITE, 0, collector="projected:2x4", incident="angle:1x1", rays=1000
+    )
+    assert "light that fills patches of angle:1x1" in str(
+        filled.quantity(np.ones((1, 2, 4)))
+    )
+
+
+def test_ctrl_c_ends_all_quantities(monkeypatch, capsys):
+    """What was measured before is told; twin: without it all are, and 0 is returned."""
+    words = ["quantity", "gloss20", "gloss60", "gloss85", "diffuse", "--rays", "1000"]
+    assert main(words) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 6
+    module = sys.modules[definition_of.__module__]
+    real, calls = module.measure, []
+
+    def pressed(*args, **settings):
+        calls.append(settings)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return real(*args, **settings)
+
+    monkeypatch.setattr(module, "measure", pressed)
+    assert main(words) == 2
+    told = capsys.readouterr()
+    assert told.out.startswith("gloss20: ")
+    assert "interrupted: the numbers are of what was finished" in told.err
+    assert len(calls) == 2
+    calls[:] = [None]
+    assert main(words) == 2
+    assert "nothing was finished" in capsys.readouterr().err
+
+
+def test_commands_take_the_surfaces_that_they_advise(tmp_path, capsys):
+    """Word for word: a mesh with --bsdf; the twin of each without it is refused."""
+    path = tmp_path / "plate.obj"
+    path.write_text("v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nf 1 2 3\nf 1 3 4\n")
+    bsdf = ["--bsdf", "diffuse:reflectance=0.1"]
+    quick = ["--rays", "1000", "--footprint", "point"]
+    assert main(["quantity", "45/0", str(path), *quick]) == 1
+    assert "--bsdf" in capsys.readouterr().err
+    assert main(["quantity", "45/0", str(path), *bsdf, *quick]) == 0
+    assert "reflectance factor 45:0" in capsys.readouterr().out
+    assert main(["validate", str(path)]) == 1
+    assert "validate examines a BSDF" in capsys.readouterr().err
+    heights = np.random.default_rng(0).random((8, 8))
+    heights[3, 4] = np.nan
+    np.save(tmp_path / "gap.npy", heights)
+    words = [
+        "quantity",
+        "45/0",
+        str(tmp_path / "gap.npy"),
+        "--size",
+        "7",
+        "--rays",
+        "1000",
+    ]
+    assert main(words) == 1
+    assert "--fill nearest" in capsys.readouterr().err
+    assert main([*words, "--fill", "nearest"]) == 0

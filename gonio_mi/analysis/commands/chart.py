@@ -31,6 +31,7 @@ from ...commands.arguments import (
     specimen_of,
     tell,
 )
+from ...commands.surface import add_surface_options, prepared_surface
 
 USAGE = "%(prog)s SPECIMEN [--theta-i DEG] [options]"
 
@@ -55,6 +56,7 @@ def add_options(parser: ArgumentParser) -> None:
     add_number(group, "--repeats", "N", text, 4)
     for name in ("batches", "seed"):
         add_setting(group, name)
+    add_surface_options(parser)
     add_scene_options(parser)
     text = "Write the chart to these .png, .pdf, .svg, .html or .csv files."
     add_output(parser.add_argument_group("Output"), text)
@@ -82,6 +84,7 @@ def run(options: Namespace) -> int:
             writers[path] = partial(plot_chart, target=options.target)
     target = checked_number("target", options.target, 1e-9, 1, "a number in (0, 1)")
     specimen, parameters = specimen_of(options.specimen, options)
+    specimen = prepared_surface(specimen, options)
     result = chart(
         specimen,
         options.theta_i,

@@ -16,9 +16,11 @@ their rays.
 """
 
 import sys
+import warnings
 from argparse import ArgumentParser, Namespace
 
 from ...commands import arguments
+from ...commands.surface import add_surface_options, prepared_surface
 
 USAGE = "%(prog)s NAME... SPECIMEN [options]"
 
@@ -38,20 +40,26 @@ def add_options(parser: ArgumentParser) -> None:
     arguments.add_setting(light, "wavelengths", "16 from 400 to 700")
     for title in ("method", "events on the surface"):
         arguments.add_settings_group(parser, title)
+    add_surface_options(parser)
     arguments.add_scene_options(parser)
 
 
 def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
-    from ..quantities import quantity
+    from ..quantities.quantity import quantities
 
     specimen, parameters = arguments.specimen_of(options.specimen, options)
-    settings = arguments.given_settings(options)
-    settings |= {"parameters": parameters, "phi_i": options.phi_i}
-    settings["progress"] = not options.quiet and sys.stderr.isatty()
-    found = quantity(options.names, specimen, **settings)
+    specimen = prepared_surface(specimen, options)
+    settings = arguments.given_settings(options) | {"parameters": parameters}
+    progress = not options.quiet and sys.stderr.isatty()
+    # said below, of all that is printed
+    warnings.filterwarnings("ignore", "interrupted: ", RuntimeWarning)
+    given = options.names, specimen, options.phi_i, progress, settings
+    found, stopped = quantities(*given)
     if options.json:
         arguments.tell_json([one.to_dict() for one in found])
     elif not options.quiet:
         arguments.tell("\n".join(map(str, found)))
-    return arguments.DONE
+    if stopped:
+        arguments.say("interrupted: the numbers are of what was finished until then")
+    return arguments.INCOMPLETE if stopped else arguments.DONE

@@ -75,16 +75,21 @@ class Search:
         return sum(one.misfit(part) for one, part in parts)
 
     def adapt(self, values: Floats) -> None:
-        """Refine the nodes for these values, and share variances."""
+        """Refine the nodes for these values, and take the variances of them."""
         self._last = None
         bsdf = self._loaded.bsdf(values)
         found = np.concatenate([one.adapt(bsdf) for one in self._predictions])
         self._weigh(found[self._order])
 
     def _weigh(self, predicted: Floats) -> None:
-        """Share variances among patches that are predicted to be alike."""
+        """Take the variances that go with a prediction."""
         parts = zip(self.observations, np.split(predicted, self._ends))
         self.scales = np.sqrt(np.concatenate([one.variances(p) for one, p in parts]))
+
+    def count(self) -> float:
+        """How many values the sum of squared residuals has."""
+        parts = zip(self.observations, np.split(self.scales**2, self._ends))
+        return sum(one.count(part) for one, part in parts)
 
     def residuals(self, predicted: Floats) -> Floats:
         """Differences of prediction and observation over their standard errors."""

@@ -11,6 +11,7 @@ from ...errors import SettingError
 from ...files.measured_table import MeasuredTable
 from ...results.record import Record
 from ...results.tally import holds_integrals, without_chance
+from ...single_precision import FEW_ROUNDINGS
 from .predictions import ConePredictions, PatchPredictions
 
 # Relative error of the integrals of a model, in no error bar of a record of integrals;
@@ -50,16 +51,25 @@ class RecordObservations:
         self.stated = not without_chance(single.tallies)
 
     def variances(self, predicted: Floats) -> Floats:
-        """Variances for weights: the record's, shared among like detectors."""
+        """Variances for weights: the record's, smoothed over the detectors' flux."""
         found = self._std_errs() ** 2
-        if not self._has_batches:
+        if holds_integrals(self.single.tallies):
             least = MODEL_INTEGRAL_ERR * (self.values + self.values.mean())
             return found + least**2
-        channels = len(self.single.channels)
-        hits = self._kept(np.repeat(self._tally.hits[..., None], channels, axis=-1))
-        # a tenth of a ray, where all batches received the same
-        least = 0.1 / max(self.single.ledger.emitted, 1)
-        return np.maximum(pooled(found, hits.astype(np.int64), predicted), least**2)
+        n, hits = len(self.single.channels), float(self._tally.hits.sum())
+        columns = (one.reshape(-1, n).T for one in (found, predicted, self.values))
+        least = FEW_ROUNDINGS * self.values.sum()  # of a channel without light
+        each = [
+            smoothed(variances, flux, max(values.sum(), least) / hits)
+            for variances, flux, values in zip(*columns)
+        ]
+        return np.stack(each, axis=-1).ravel()
+
+    def count(self, variances: Floats) -> float:
+        """How many values chi-square has; one of less than a hit counts in part."""
+        if holds_integrals(self.single.tallies):
+            return float(self.values.size)
+        return float(np.sum(self._std_errs() ** 2 / variances))
 
     def misfit(self, predicted: Floats) -> float:
         """Chi-square; of integrals, of distances relative to value and mean."""
@@ -68,13 +78,19 @@ class RecordObservations:
         return float(np.sum((predicted - self.values) ** 2 / variances))
 
     def propagated(self, estimate: Floats, variances: Floats) -> Floats:
-        """Covariance of a linear estimate: by batches, detectors together."""
+        """Covariance of a linear estimate: by batches, detectors together.
+
+        And by single precision: where all rays came, the batches say that the sum of
+        what they carry is exact.
+        """
+        rounding = FEW_ROUNDINGS * (estimate @ self.values)
+        least = np.outer(rounding, rounding)
         if not self._has_batches:
-            return (estimate * variances) @ estimate.T
+            return (estimate * variances) @ estimate.T + least
         incident = self._tally.incident.astype(float)[:, None, None, None]
         batches = np.stack([self._kept(one) for one in self._tally.sums / incident])
         each = batches @ estimate.T
-        return np.atleast_2d(np.cov(each, rowvar=False)) / len(batches)
+        return np.atleast_2d(np.cov(each, rowvar=False)) / len(batches) + least
 
     def _kept(self, values: Floats) -> Floats:
         """Values of the detectors, without what is between them, in one row."""
@@ -140,6 +156,10 @@ class TableObservations:
         found = np.maximum(found, 0) + (relative * predicted) ** 2
         return found + (MODEL_INTEGRAL_ERR * (np.abs(self.values).mean())) ** 2
 
+    def count(self, variances: Floats) -> float:
+        """How many values chi-square has."""
+        return float(variances.size)
+
     def misfit(self, predicted: Floats) -> float:
         """Chi-square; without variances, of distances relative to both values.
 
@@ -192,38 +212,36 @@ def _predictions(single: Record) -> list[PatchPredictions] | list[ConePrediction
     ]
 
 
-# Patches that share a variance, and the hits that they must have together.
-MIN_POOLED_PATCHES, MIN_POOLED_HITS = 16, 100
+# Power of the flux that a variance is: 0 of noise from elsewhere, 1 of counts, 2 of
+# light that fluctuates as a whole.
+MIN_POWER, MAX_POWER = 0.0, 2.0
 
 
-def pooled(variances: Floats, hits: Integers, brightness: Floats) -> Floats:
-    """Mean variance of the patches that are about as bright.
+def smoothed(variances: Floats, flux: Floats, hit: float) -> Floats:
+    """Variances as a power of the flux that a model predicts, about as those given.
 
-    A variance from 16 batches is itself off by a third, and a patch that has by chance
-    received too little has too small a one as well: weights from single variances
-    would bias a fit, and make it look better than it is. Here they are shared by
-    patches of similar `brightness`, which is a model's and not the record's.
+    A detector that has by chance received too little has too small a variance as well:
+    weights from variances of single detectors, or of few, would pull a fit down by what
+    a hit of each is worth. Two numbers for all detectors, and the model's flux, know
+    nothing of a single one's chance (Carroll and Ruppert 1988, *Transformation and
+    Weighting in Regression*, chapter 3). They are the most likely for variances that
+    follow a gamma distribution, whose quotients by these have the mean 1.
 
     Parameters
     ----------
-    variances, hits, brightness : ndarray, shape (n,)
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Positive, if any patch has a variance.
+    variances, flux : ndarray, shape (n,)
+    hit : float
+        Flux of a hit, with which detectors that received none are uncertain as well.
     """
-    order = np.argsort(brightness, kind="stable")
-    starts, patches, total = [0], 0, 0
-    for i, n in enumerate(hits[order].tolist()):
-        if patches >= MIN_POOLED_PATCHES and total >= MIN_POOLED_HITS:
-            starts.append(i)
-            patches = total = 0
-        patches, total = patches + 1, total + n
-    if len(starts) > 1 and (patches < MIN_POOLED_PATCHES or total < MIN_POOLED_HITS):
-        starts.pop()
-    sizes = np.diff([*starts, len(order)])
-    means = np.add.reduceat(variances[order], starts) / sizes
-    found = np.empty_like(variances)
-    found[order] = np.repeat(means, sizes)
-    return found
+    from scipy.optimize import minimize_scalar
+
+    log_flux = np.log(flux + hit)
+    log_flux -= log_flux.mean()
+    given = variances + hit**2
+
+    def deviance(power: float) -> float:
+        return float(np.log(np.mean(given * np.exp(-power * log_flux))))
+
+    limits = MIN_POWER, MAX_POWER
+    power = minimize_scalar(deviance, bounds=limits, method="bounded").x
+    return np.mean(given * np.exp(-power * log_flux)) * np.exp(power * log_flux)

@@ -7,12 +7,13 @@ Of windows the azimuth counts from the plane of incidence: 0 is the side of the 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from ...array_types import Floats
 from ...collector import Borders, Subdivision
-from ...collector.receptors import Receptors, Window
+from ...collector.receptors import MAX_WIDTH, MIN_WIDTH, Receptors, Window
 from ...errors import SettingError
 
 # Refractive index of the black glass whose gloss is 100 (ISO 2813:2014, 3.3).
@@ -20,6 +21,27 @@ BLACK_GLASS = 1.567
 
 # Nodes of the Gauss-Legendre rule along each side of a source.
 N_NODES = 16
+
+
+class Range(NamedTuple):
+    """Range of a parameter in degrees, ``[low, high)``."""
+
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"a number of degrees in [{self.low:g}, {self.high:g})"
+
+
+# Parameters of quantities: polar angles and azimuths, those of cones about the normal,
+# full widths of windows, and of sources and traps, of which 0 is none.
+Polar = Annotated[float, Range(0, 90)]
+Azimuth = Annotated[float, Range(-360, 360)]
+HalfWidth = Annotated[float, Range(MIN_WIDTH / 2, MAX_WIDTH / 2)]
+Width = Annotated[float, Range(MIN_WIDTH, MAX_WIDTH)]
+WidthOrNone = Annotated[float, Range(0, MAX_WIDTH)]
+Entrance = Annotated[float, Range(-89.99, 90)]
+Step = Annotated[float, Range(0.05, 15)]
 
 
 @dataclass(frozen=True)
@@ -58,6 +80,8 @@ class Definition:
     curve : callable, optional
         Function of the map of reflected flux fractions, instead of a sum. It raises
         SettingError where it has no value.
+    words : str
+        Light and hemispheres, where a record decides them.
     """
 
     title: str
@@ -75,6 +99,7 @@ class Definition:
     minus: "Definition | None" = None
     patches: Subdivision | None = None
     curve: Callable[[Floats], float] | None = None
+    words: str = ""
 
     @property
     def light(self) -> str:
@@ -86,7 +111,8 @@ class Definition:
     @property
     def geometry(self) -> str:
         """Light and receptors in words."""
-        text = f"{self.light}, {'transmitted' if self.lower else 'reflected'}"
+        side = "transmitted" if self.lower else "reflected"
+        text = self.words or f"{self.light}, {side}"
         for word, windows in (("into", self.receptors), ("outside of", self.without)):
             for theta, phi, *size in windows[:2]:
                 wide = " x ".join(f"{angle:.3g}" for angle in size)
@@ -125,15 +151,19 @@ def gloss(title: str, unit: str, source: str, *receptors: Window) -> Definition:
     return replace(own, scale=100 / black_glass(theta_i, beam))
 
 
-def haze(angle: float = 2.5) -> Definition:
+def haze(angle: HalfWidth = 2.5) -> Definition:
     """Transmitted light that leaves by more than an angle, in per cent of all of it."""
     title, source = f"haze, beyond {angle:g} degrees", "ASTM D1003; angle unverified"
     own = Definition(title, source, "%", without=((0.0, 180.0, 2 * angle),), over=())
     return replace(own, lower=True, scale=100.0)
 
 
-def tis(inner: float = 2.5, outer: float = 70.0) -> Definition:
+def tis(inner: HalfWidth = 2.5, outer: HalfWidth = 70.0) -> Definition:
     """Reflected light between two cones about the normal, of all within the outer."""
+    if inner >= outer:
+        raise SettingError(
+            f"inner of tis must be less than outer, got {inner:g} and {outer:g}"
+        )
     title = f"total integrated scatter from {inner:g} to {outer:g} degrees"
     near, far = (((0.0, 180.0, 2 * angle),) for angle in (inner, outer))
     own = Definition(title, "SEMI MF1048: about 2.5 and 70 degrees", receptors=far)
@@ -146,13 +176,14 @@ _CIE = "CIE 15; full angles of source, receptor and trap unverified"
 
 
 def factor(
-    theta_i: float = 45.0,
-    theta_o: float = 0.0,
-    phi_o: float = 180.0,
-    receptor: float = 2.0,
-    source: float = 0.0,
+    theta_i: Polar = 45.0,
+    theta_o: Polar = 0.0,
+    phi_o: Azimuth = 180.0,
+    receptor: Width = 2.0,
+    source: WidthOrNone = 0.0,
 ) -> Definition:
     """Reflectance factor: relative to a perfect diffuser in the same receptor."""
+    _check_source(theta_i, source)
     title, window = (
         f"reflectance factor {theta_i:g}:{theta_o:g}",
         (theta_o, phi_o, receptor),
@@ -162,14 +193,23 @@ def factor(
     return replace(own, beam=(source,) if source else (), scale=np.pi / solid)
 
 
-def to_sphere(trap: float = 0.0) -> Definition:
+def _check_source(theta_i: float, source: float) -> None:
+    """Raise ValueError for a source that reaches below the horizon."""
+    if theta_i + source / 2 >= 90:
+        raise SettingError(
+            f"source must lie above the horizon, got {source:g} degrees about an angle "
+            f"of incidence of {theta_i:g}"
+        )
+
+
+def to_sphere(trap: WidthOrNone = 0.0) -> Definition:
     """8:di, or 8:de with a gloss trap of a full angle in degrees."""
     title = f"reflectance factor 8:d{'e' if trap else 'i'}"
     without = ((8.0, 180.0, trap),) if trap else ()
     return Definition(title, _CIE, theta_i=8.0, without=without)
 
 
-def from_sphere(receptor: float = 10.0, trap: float = 0.0) -> Definition:
+def from_sphere(receptor: Width = 10.0, trap: WidthOrNone = 0.0) -> Definition:
     """di:8, or de:8 with a gloss trap, whose light is taken off all diffuse light."""
     title = f"reflectance factor d{'e' if trap else 'i'}:8"
     one, minus = factor(8.0, 8.0, 180.0, receptor, trap), None
@@ -185,10 +225,10 @@ def from_sphere(receptor: float = 10.0, trap: float = 0.0) -> Definition:
 
 def retroreflection(
     luminance: bool = False,
-    observation: float = 0.2,
-    entrance: float = -4.0,
-    source: float = 1 / 6,
-    receptor: float = 1 / 6,
+    observation: Polar = 0.2,
+    entrance: Entrance = -4.0,
+    source: WidthOrNone = 1 / 6,
+    receptor: Width = 1 / 6,
 ) -> Definition:
     """R_A, or R_L, in the coplanar geometry; the rotation angle is ``phi_i``.
 
@@ -197,6 +237,7 @@ def retroreflection(
     """
     name = "luminance R_L" if luminance else "retroreflection R_A"
     unit = "cd/(m2 lx)" if luminance else "cd/(lx m2)"
+    _check_source(abs(entrance), source)
     angles = f"observation {observation:g}, entrance {entrance:g} degrees"
     words = "CIE 54.2, ASTM E808 to E810; apertures of 10 minutes unverified", unit
     there = entrance - observation
@@ -209,21 +250,25 @@ def retroreflection(
     return replace(own, scale=scale)
 
 
+def transmittance(theta_i: Polar = 0.0) -> Definition:
+    """Total transmittance."""
+    return Definition("total transmittance", "ISO 13468", "", theta_i, lower=True)
+
+
 def transmitted(
-    title: str, source: str, theta_i: float = 0.0, cone: float = 5.0, part: str = ""
+    title: str, beyond: bool = False, theta_i: Polar = 0.0, cone: Width = 5.0
 ) -> Definition:
-    """Total transmittance, or its part within a cone straight on, or beyond."""
-    own = Definition(title, source, "", theta_i, lower=True)
+    """Part of the transmittance within a cone straight on, or beyond."""
+    own = Definition(title, "EN 14500, EN 14501; the cone is ours", "", theta_i)
     window = ((theta_i, 180.0, cone),)
-    if part == "direct":
-        return replace(own, receptors=window)
-    return replace(own, without=window if part else ())
+    own = replace(own, lower=True)
+    return replace(own, without=window) if beyond else replace(own, receptors=window)
 
 
 # --------------------------------------------------------------------------- lobes
 
 
-def lobe(what: str, theta_i: float = 45.0, step: float = 1.0) -> Definition:
+def lobe(what: str, theta_i: Polar = 45.0, step: Step = 1.0) -> Definition:
     """Half width at half maximum on one side of the mirror direction, or asymmetry.
 
     Of the mean BRDF in patches of `step` x 2 `step` degrees about the plane of
@@ -240,7 +285,7 @@ def lobe(what: str, theta_i: float = 45.0, step: float = 1.0) -> Definition:
 
     def curve(fractions: Floats) -> float:
         """Half width or asymmetry of the radiance in the plane of incidence."""
-        radiance, ends = (fractions / solid)[1:-1, 1], []
+        radiance, ends = (fractions / solid)[1:-1, 1], {}
         # parabolas through noise: one of the top, and one of each slope
         top = middles[radiance > 0.85 * radiance.max()]
         near = np.abs(middles - np.median(top)) <= max(np.ptp(top) / 2, 1.5 * step)
@@ -250,7 +295,7 @@ def lobe(what: str, theta_i: float = 45.0, step: float = 1.0) -> Definition:
             raise SettingError(f"{text}, got {step:g} degrees")
         a, b, c = np.polyfit(middles[near], radiance[near], 2)
         peak, half = -b / (2 * a), c / 2 - b**2 / (8 * a)
-        for sign in (-1, 1):
+        for sign in {"inner": (-1,), "outer": (1,)}.get(what, (-1, 1)):
             side = sign * (middles - peak) > 0
             slope = side & (np.abs(radiance / half - 1) < 0.5)
             if a >= 0 or slope.sum() < 3 or radiance[side].min() > half:
@@ -258,10 +303,10 @@ def lobe(what: str, theta_i: float = 45.0, step: float = 1.0) -> Definition:
             x = middles[slope]
             roots = np.roots(np.polyfit(x, radiance[slope], 2) - [0, 0, half]).real
             end = roots[np.abs(roots - np.median(x)).argmin()]
-            ends.append(float(sign * (end - theta_i)))
-        inner, outer = ends
-        found = {"inner": inner, "outer": outer}
-        return found.get(what, (outer - inner) / (outer + inner))
+            ends[sign] = float(sign * (end - theta_i))
+        if len(ends) == 1:
+            return ends.popitem()[1]
+        return (ends[1] - ends[-1]) / (ends[1] + ends[-1])
 
     unit, source = "" if what == "asymmetry" else "degrees", "half of the largest BRDF"
     own = Definition(f"lobe about the mirror direction, {what}", source, unit, theta_i)
@@ -271,7 +316,6 @@ def lobe(what: str, theta_i: float = 45.0, step: float = 1.0) -> Definition:
 _GLOSS = "GU", "ISO 2813, ASTM D523; apertures unverified"
 _BESIDE = "ASTM E430 B, ISO 13803; 18.1 and 21.9 degrees unverified"
 _HAZE = "HU", _BESIDE, (18.1, 1.8, 3.6), (21.9, 1.8, 3.6)
-_FABRIC = "EN 14500, EN 14501; the cone is ours"
 
 DEFINITIONS: dict[str, Callable[..., Definition]] = {
     "gloss20": partial(gloss, "gloss at 20 degrees", *_GLOSS, (20.0, 1.8, 3.6)),
@@ -279,10 +323,10 @@ DEFINITIONS: dict[str, Callable[..., Definition]] = {
     "gloss85": partial(gloss, "gloss at 85 degrees", *_GLOSS, (85.0, 4.0, 6.0)),
     "reflection_haze": partial(gloss, "reflection haze", *_HAZE),
     "haze": haze,
-    "transmittance": partial(transmitted, "total transmittance", "ISO 13468"),
-    "direct": partial(transmitted, "direct transmittance", _FABRIC, part="direct"),
-    "diffuse": partial(transmitted, "diffuse transmittance", _FABRIC, part="diffuse"),
-    "openness": partial(transmitted, "openness", _FABRIC, part="direct"),
+    "transmittance": transmittance,
+    "direct": partial(transmitted, "direct transmittance"),
+    "diffuse": partial(transmitted, "diffuse transmittance", beyond=True),
+    "openness": partial(transmitted, "openness"),
     "tis": tis,
     "brf": factor,
     "45/0": partial(factor, receptor=10.0, source=10.0),

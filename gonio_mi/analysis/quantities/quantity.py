@@ -19,6 +19,7 @@ from ...errors import (
     SettingTypeError,
     checked_choice,
     checked_number,
+    shown,
     warn,
 )
 from ...progress import counted
@@ -27,7 +28,7 @@ from ...specimen.loading import load_specimen, loaded_once
 from ...specimen.specimen import Specimen
 from ...specimen.specimen_text import SpecimenLike
 from ..comparison.measure_like import far_source
-from .definitions import DEFINITIONS, GROUPS, Definition
+from .definitions import DEFINITIONS, GROUPS, Definition, Range
 from .functionals import checked_weights, difference, jackknifed, ratio
 
 # Distance of a source, in extents of the specimen: a parallax of 6e-4 degrees.
@@ -127,30 +128,56 @@ def quantity(
         For an unknown name, a setting that the quantity decides, transmission of an
         opaque specimen, and as :func:`gonio_mi.measure`.
     """
+    found, _ = quantities(name, specimen, phi_i, progress, settings)
+    one = isinstance(name, str) and name.partition(":")[0] in DEFINITIONS
+    return found[0] if one else found
+
+
+def quantities(
+    name: str | Sequence[str],
+    specimen: SpecimenLike,
+    phi_i: float,
+    progress: bool,
+    settings: dict[str, Any],
+) -> tuple[tuple[Quantity, ...], bool]:
+    """Those of :func:`quantity`, and whether Ctrl-C left some of their rays out.
+
+    Then they are those whose light was measured, KeyboardInterrupt if none was.
+    """
     if mi.is_spectral and settings.get("wavelengths") is None:
-        settings["wavelengths"] = ask("exchange", "VISIBLE_NM")
-    words = [name] if isinstance(name, str) else [*map(str, name)]
-    asked = {one: definition_of(one) for w in words for one in GROUPS.get(w, (w,))}
+        settings = settings | {"wavelengths": ask("exchange", "VISIBLE_NM")}
+    asked = {one: definition_of(one) for one in _names(name)}
     parts = [part for one in asked.values() for part in (one, one.minus) if part]
     records: dict[int, Record] = {}
+    stopped = False
     with loaded_once():
         given = settings.get("parameters"), settings.get("period")
         extent = Specimen(load_specimen(specimen, *given)).reach
         for group in counted(_groups(parts), progress, unit="geometry"):
             decided = _light(group[0], extent) | {"collector": _collector(group, phi_i)}
-            record = measure(specimen, phi_i=phi_i, **settings, **decided)
+            try:
+                record = measure(specimen, phi_i=phi_i, **settings, **decided)
+            except KeyboardInterrupt:
+                stopped = True
+                break
             records |= {id(one): record for one in group}
             if not (record.flux_fraction.any() or record.ledger.missed):
                 text = "no light leaves the specimen: from behind a one-sided BSDF is "
                 warn(f"{text}black, unless it is nested in the plugin twosided")
+            if stopped := record.provenance.interrupted:
+                break
     found = []
     for one, own in asked.items():
+        if not {id(part) for part in (own, own.minus) if part} <= records.keys():
+            continue
         estimate, hits = evaluated(own, records[id(own)])
         if own.minus:
             less, _ = evaluated(own.minus, records[id(own.minus)])
             estimate = difference(estimate, less)
         found.append(Quantity.of(one, own, records[id(own)], estimate, hits))
-    return found[0] if words == [name] and name in asked else tuple(found)
+    if not found:
+        raise KeyboardInterrupt
+    return tuple(found), stopped
 
 
 def record_quantity(record: Record, what: Any, over: Any = None) -> Quantity:
@@ -190,7 +217,8 @@ def record_quantity(record: Record, what: Any, over: Any = None) -> Quantity:
         raise SettingError("over must hold weights of at least 0, got negative ones")
     if over is not None and not np.any(record.flux_fraction[rows[1] > 0]):
         raise SettingError("over must hold patches with light, got none")
-    own = Definition("weighted sum of patches", "of the record")
+    where = _light_of(record), _hemispheres_of(rows)
+    own = Definition("weighted sum of patches", "of the record", words=", ".join(where))
     hits = int(record.counts[rows[0] != 0].sum())
     estimate = ratio(_seen(own, record), *rows)
     return Quantity.of("sum", own, record, estimate, hits)
@@ -201,14 +229,30 @@ def definition_of(word: str) -> Definition:
     name, _, rest = word.partition(":")
     make = DEFINITIONS[checked_choice("quantity", name, [*DEFINITIONS, *GROUPS])]
     own = inspect.signature(make).parameters.items()
-    names = [key for key, one in own if type(one.default) is float]
-    given = {}
+    ranges: dict[str, Range] = {
+        key: one.annotation.__metadata__[0]
+        for key, one in own
+        if hasattr(one.annotation, "__metadata__")
+    }
+    given: dict[str, float] = {}
     for pair in filter(None, rest.split(",")):
         key, _, value = pair.partition("=")
-        checked_choice(f"a parameter of {name}", key, names or ["none"])
-        condition = "a number of degrees in [-360, 360)"
-        given[key] = checked_number(f"{key} of {name}", value, -360, 360, condition)
+        if not ranges:
+            raise SettingError(f"{name} takes no parameters, got {shown(pair)}")
+        allowed = ranges[checked_choice(f"a parameter of {name}", key, ranges)]
+        if key in given:
+            raise SettingError(f"{key} of {name} must be given once, got it twice")
+        given[key] = checked_number(f"{key} of {name}", value, *allowed, str(allowed))
     return make(**given)
+
+
+def _names(name: str | Sequence[str]) -> list[str]:
+    """Names of single quantities, of each of a group with its parameters."""
+    words = [name] if isinstance(name, str) else map(str, name)
+    parts = [word.partition(":") for word in words]
+    return [
+        f"{one}{colon}{rest}" for n, colon, rest in parts for one in GROUPS.get(n, (n,))
+    ]
 
 
 def evaluated(own: Definition, record: Record) -> tuple[Floats, int]:
@@ -233,6 +277,25 @@ def evaluated(own: Definition, record: Record) -> tuple[Floats, int]:
     if own.curve:
         raise SettingError(f"{own.title} needs the collector {own.patches}")
     return own.scale * ratio(grey, weights, over), int(hits)
+
+
+def _light_of(record: Record) -> str:
+    """Incident light of a record in words."""
+    if record.asked.incident is not None:
+        return f"light that fills patches of {record.asked.incident}"
+    theta_i, phi_i = record.theta_i[0], record.phi_i[0]
+    if not np.isfinite(theta_i):
+        return f"light of {record.provenance.emitter}"
+    text = f"light from (theta_i, phi_i) = ({theta_i:g}, {phi_i:g}) degrees"
+    divergence = record.asked.divergence
+    return f"{text}, a divergence of {divergence:g}" if divergence else text
+
+
+def _hemispheres_of(rows: Floats) -> str:
+    """Which hemispheres have weight, in words."""
+    lit = np.any(rows != 0, axis=(0, 2, 3))
+    names = [one for one, has in zip(("reflected", "transmitted"), lit) if has]
+    return " and ".join(names) or "no patch of weight"
 
 
 # ---------------------------------------------------------------- light and receptors

@@ -41,6 +41,7 @@ from ...commands.arguments import (
 from ...commands.parser import Parser
 from ...errors import SettingError, SpecimenError
 from ...specimen.loading import load_plugin_file, load_specimen
+from ...surfaces.meshes import is_mesh
 from ..verdict import Verdict
 
 USAGE = "%(prog)s SPECIMEN [options]"
@@ -51,7 +52,7 @@ VARIANTS = ("llvm_ad_rgb", "llvm_ad_mono")
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command to its parser."""
-    add_specimen(parser)
+    add_specimen(parser, surfaces="a height map (x3p, ...), ")
     text = "Effort: quick (seconds), normal, thorough (minutes). Default: normal."
     add_text(parser, "--effort", "E", text, default="normal")
     text = "Properties that the model knowingly lacks: energy,reciprocity."
@@ -145,6 +146,11 @@ def _verdict(options: argparse.Namespace, variant: str) -> Verdict:
             for path in options.plugin:
                 load_plugin_file(path)
     specimen, parameters = specimen_of(options.specimen, options, parallel_variants())
+    if is_mesh(specimen):
+        raise SettingError(
+            "validate examines a BSDF, such as roughconductor:alpha=0.2, and not the "
+            f"shape that it is on, got the mesh {specimen}"
+        )
     source = source_of(specimen, parameters)
     if parameters:
         specimen = load_specimen(specimen, parameters)

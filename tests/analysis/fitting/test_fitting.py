@@ -16,7 +16,7 @@ from gonio_mi.analysis.fitting.least_squares import (
     FittedModel,
     LoadedModel,
 )
-from gonio_mi.analysis.fitting.observations import pooled
+from gonio_mi.analysis.fitting.observations import smoothed
 from gonio_mi.analysis.fitting.predictions import INTEGRAL_ERR
 from gonio_mi.cli import main
 from gonio_mi.collector.directions import direction
@@ -36,6 +36,8 @@ METAL = {
     "alpha": 0.3,
     "specular_reflectance": 0.8,
 }
+MODEL = "roughconductor:distribution=ggx"
+DIFFUSE = {"type": "diffuse", "reflectance": 0.5}
 N_FITS = 8
 
 # Convergence: record and prediction are integrals, each right to INTEGRAL_ERR.
@@ -436,15 +438,42 @@ def test_words_mean_the_same_bsdf_as_in_a_measurement(name):
         assert loaded(model.bsdf(values)) != loaded(in_a_measurement | {"ext_ior": 1.0})
 
 
-def test_variances_are_pooled():
-    """Exact: the mean over patches of like brightness, enough of them and of hits."""
-    brightness = np.repeat([3.0, 1.0, 2.0], 16)
-    variances = np.arange(48.0)
-    found = pooled(variances, np.full(48, 10), brightness)
-    assert np.array_equal(np.unique(found), [7.5, 23.5, 39.5])
-    assert np.all(found[:16] == 7.5)
-    # too few hits for more than one group
-    assert np.all(pooled(variances, np.zeros(48, int), brightness) == 23.5)
+def test_variances_are_a_power_of_the_flux():
+    """Rounding: those of counts of a mean flux, and of patches all alike, as they are.
+
+    Convergence: of the power, to the root of rounding. Twin: one common variance.
+    """
+    flux, hit = np.geomspace(1, 1e4, 48), 0.5
+    power = hit * (flux + hit)  # of counts, and one more
+    close = np.finfo(float).eps ** 0.5 * np.log(1e4) * 16
+    np.testing.assert_allclose(smoothed(power - hit**2, flux, hit), power, rtol=close)
+    assert not np.allclose(power.mean(), power, rtol=0.5)
+    alike = smoothed(np.arange(48.0), np.ones(48), hit)
+    np.testing.assert_allclose(alike, 23.5 + hit**2, rtol=48 * np.finfo(float).eps)
+
+
+def test_few_hits_do_not_pull_a_fit_down():
+    """Normal scores of 24 fits of counts, of eight hits to a patch on average.
+
+    Twin: an eighth off, as by weights that follow each value.
+    """
+    settings = {"sampler": "independent", "estimator": "analog", "rays": 2000}
+    scores, twins = [], []
+    for seed in range(24):
+        record = measured(DIFFUSE, seed=seed, collector="projected:8x16", **settings)
+        fitted = gonio.fit(record, "diffuse")
+        for truth, found in ((0.5, scores), (0.5 * 7 / 8, twins)):
+            found.append((fitted.values[0] - truth) / fitted.std_errs[0])
+    agree(verdict(normal_scores(scores, 15)))
+    disagree(verdict(normal_scores(twins, 15)))
+
+
+def test_all_light_makes_a_fit_exact_to_single_precision():
+    """Rounding: where every ray came back, whatever patches it fell into."""
+    for rays, few in ((1000, False), (100, True)):
+        fitted = gonio.fit(measured(DIFFUSE, [0, 30], rays=rays), "diffuse")
+        assert abs(fitted.values[0] - 0.5) < 4 * fitted.std_errs[0] < 1e-5
+        assert ("hits are few" in str(fitted)) == few
 
 
 @pytest.mark.parametrize(
@@ -536,7 +565,7 @@ def test_command(tmp_path, capfd):
     head, name, *_ = first.split("\n")
     assert head == "closest of 2 models, by chi-square:"
     assert name.startswith("roughconductor:distribution=ggx,")
-    assert "(30 degrees of freedom), " in first
+    assert "(29 degrees of freedom), " in first  # 32 patches, a few less by their hits
     assert other.startswith("roughconductor:distribution=beckmann,")
     assert (tmp_path / "a.png").stat().st_size > 10_000
     prediction = gonio.load(tmp_path / "fit.npz")
@@ -547,7 +576,7 @@ def test_command(tmp_path, capfd):
     alpha = found["parameters"]["alpha"]
     score = (alpha["value"] - 0.3) / alpha["std_err"]
     agree(single(normal_scores(score, 15)))
-    assert found["dof"] == 32 - 1
+    assert found["dof"] == 30  # as above, of one parameter less
     assert main([*command, "--quantity", "brdf"]) == 1
     assert "--quantity applies to tables" in capfd.readouterr().err
     assert main(["fit", str(tmp_path / "a.npz"), "scenes/lambertian.xml"]) == 1

@@ -11,15 +11,18 @@ import numpy as np
 import pytest
 from benchmark import coverage
 from benchmark.coverage import CASES, LEVEL, Coverage
-from budget import agree, disagree, often_enough
+from budget import agree, disagree, normal_scores, often_enough, verdict
 from scipy import special
 
 import gonio_mi as gonio
+from gonio_mi.collector.directions import direction
 from gonio_mi.quadrature import integrate
 from gonio_mi.results.estimates import SampledEstimates
 from gonio_mi.results.statistics import batch_std_err, binomial_interval
 
 SEEDS = 24
+
+NONE = np.zeros((2, 1))  # weight and share of heavy hits
 
 
 # Lobes of which a part is drawn below the horizon: one ray in 9000, 700 and 50.
@@ -174,7 +177,7 @@ def test_rare_bright_spots_are_covered(name, rays):
         for heavy, found in ((True, parts), (False, twins)):
             with pytest.MonkeyPatch.context() as patch:
                 if not heavy:
-                    patch.setattr(SampledEstimates, "_heavy", lambda *_: np.zeros(1))
+                    patch.setattr(SampledEstimates, "_heavy", lambda *_: NONE)
                 low, high = record.interval(LEVEL)
             found.append(((low <= truth) & (truth <= high)).mean())
     agree(often_enough(parts))
@@ -202,6 +205,56 @@ def test_standard_errors_know_of_spots_that_a_patch_missed():
     assert np.mean(twins) > 1000
 
 
+# A square whose vertex normals lean by 30 degrees: the fewer rays are sampled close to
+# the horizon of these, the more each weighs there, and nowhere else.
+LEANING = """ply
+format ascii 1.0
+element vertex 4
+{}
+element face 2
+property list uchar int vertex_index
+end_header
+-1 -1 0 0.5 0 0.866025404
+1 -1 0 0.5 0 0.866025404
+1 1 0 0.5 0 0.866025404
+-1 1 0 0.5 0 0.866025404
+3 0 1 2
+3 0 2 3
+"""
+
+
+def test_heavy_weights_of_some_directions_are_not_of_others(tmp_path):
+    """Normal scores against the closed form, of patches above the leaning horizon.
+
+    The cosine of incidence counts from the leaning normal. Twin: standard errors of at
+    least the mean square of a hit in all patches, each patch counted alike.
+    """
+    path, names = tmp_path / "leaning.ply", ["x", "y", "z", "nx", "ny", "nz"]
+    path.write_text(LEANING.format("\n".join(f"property float {n}" for n in names)))
+    bsdf = {"type": "diffuse", "reflectance": 0.5}
+    mesh = {"type": "ply", "filename": str(path), "bsdf": bsdf}
+    normal = np.sin(np.pi / 6), np.cos(np.pi / 6)
+    incident = np.sin(np.radians(50)), np.cos(np.radians(50))
+    truth = 0.5 / np.pi * np.dot(normal, incident) / incident[1]
+    grid = gonio.EqualAngle(6, 8)
+    corners = direction(grid.theta_edges[:, None], grid.phi_edges)
+    above = corners @ (normal[0], 0, normal[1]) > 0
+    inside = above[:-1, :-1] & above[1:, :-1] & above[:-1, 1:] & above[1:, 1:]
+    right, wrong = [], []
+    for seed in range(8):
+        settings = {"rays": 10**5, "sampler": "independent", "seed": seed}
+        record = gonio.measure(mesh, 50, collector=grid, **settings)
+        off = (record.brdf - truth) * grid.projected_solid_angles[..., None]
+        (one,) = record.estimates
+        hits = one.hits[0][..., None]
+        square = np.mean((one.std_err(0) ** 2 / hits)[hits > 0])
+        for scores, least in ((right, 0), (wrong, np.sqrt(square * hits))):
+            std_err = np.fmax(one.std_err(0), least)[inside]
+            scores += normal_scores(off[inside] / std_err, 15).tolist()
+    agree(verdict(right))
+    disagree(verdict(wrong))
+
+
 @pytest.mark.parametrize("sampler", ["sobol", "independent"])
 @pytest.mark.parametrize(
     "bsdf",
@@ -222,7 +275,7 @@ def test_plain_specimens_pay_nothing(monkeypatch, bsdf, sampler):
     for _ in range(2):
         low, high = record.interval(LEVEL)
         widths.append(high - low)
-        monkeypatch.setattr(SampledEstimates, "_heavy", lambda *_: np.zeros(1))
+        monkeypatch.setattr(SampledEstimates, "_heavy", lambda *_: NONE)
     assert np.mean(widths[0] / widths[1]) < 1.05
     assert widths[0].sum() < 1.05 * widths[1].sum()
     if bsdf["type"] == "diffuse":

@@ -150,11 +150,13 @@ def test_one_hit_that_scatters_tells_its_weight(n_batches):
     sums[1, 0, 1] = 8
     incident = np.full((n_batches, 1, 1, 1), 100.0)
     hits = np.full((2, 3, 1), 4)
-    found = statistics.scatter_weight(sums, incident, hits)
+    found, share = statistics.heavy_hits(sums, incident, hits)
     np.testing.assert_allclose(found, 8 / (100 * n_batches), rtol=64 * EPS)
-    assert statistics.scatter_weight(sums, incident, hits // 4) == 0
-    assert statistics.scatter_weight(sums[:2], incident[:2], hits) == 0
-    assert statistics.scatter_weight(0 * sums, incident, hits) == 0
+    # of one in 24 hits; that all four of its patch weigh 2 takes one of four parts off
+    np.testing.assert_allclose(share, 0.75 / 24, rtol=64 * EPS)
+    assert statistics.heavy_hits(sums, incident, hits // 4)[0] == 0
+    assert statistics.heavy_hits(sums[:2], incident[:2], hits)[0] == 0
+    assert statistics.heavy_hits(0 * sums, incident, hits)[0] == 0
 
 
 def test_weight_of_the_hits_that_scatter():
@@ -176,7 +178,7 @@ def test_weight_of_the_hits_that_scatter():
         hits = counts.sum(axis=(0, 3))[..., None]
         incident = np.full((16, 1, 1, 1), 1 / 16)
         sums = counts @ weights[:, None]
-        found.append(statistics.scatter_weight(sums, incident, hits)[0])
+        found.append(statistics.heavy_hits(sums, incident, hits)[0][0])
         hits = np.maximum(hits, 1)
         part = ((hits - 1) / (hits + 1)).sum() / (1 - 1 / hits).sum()
         expected.append(third / second + 3 * mean * part)
@@ -202,7 +204,7 @@ def test_patches_that_differ_in_weight_do_not_scatter():
             else:
                 sums = counts * weights
             hits = counts.sum(axis=0)[..., None]
-            told += statistics.scatter_weight(sums[..., None], incident, hits)[0] > 0
+            told += statistics.heavy_hits(sums[..., None], incident, hits)[0][0] > 0
         p = stats.binom.sf(told - 1, 60, stats.norm.sf(statistics.MIN_SKEWNESS))
         return Verdict({"told": float(p)})
 
