@@ -64,10 +64,11 @@ def test_light_that_nothing_collected_is_told(both):
     assert (told in said) == ("nothing was collected" in said) == (not both)
 
 
-@pytest.mark.parametrize("estimator", ["weighted", "analog"])
-def test_fates_without_light_are_explained_where_rays_have_weights(estimator):
-    record = synthetic.record().with_settings(estimator=estimator)
-    weighted = estimator == "weighted"
+@pytest.mark.parametrize("weighted", [True, False])
+def test_fates_without_light_are_explained_where_rays_have_weights(weighted):
+    (tally,) = synthetic.record().tallies
+    counted = tally if weighted else replace(tally, scale=1)
+    record = replace(synthetic.record(), tallies=(counted,))
     said = summary_text(summarize(moved(record, Fate.REJECTED, 1)))
     assert ("absorbed: weight 0" in said) == weighted
     assert ("; rejected: `sample` failed (zero density)\n" in said) == weighted
