@@ -162,7 +162,7 @@ class Goniometric(mi.BSDF):
             for face, side in having:
                 # in radiance mode transmission is seen from the other side
                 flags |= sides[0] | sides[1] if hemisphere else side
-                if face.n_azimuths > 1:
+                if face.anisotropic:
                     flags |= mi.BSDFFlags.Anisotropic
             if having:
                 components.append(flags)

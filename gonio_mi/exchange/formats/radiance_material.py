@@ -24,9 +24,6 @@ MIN_CELLS, MAX_CELLS = 8, 256
 # Points per axis of the square by which cells overlap patches.
 OVERLAP_POINTS = 512
 
-# Half the width in degrees of what stands for an azimuth on an edge of patches.
-EDGE_OFFSET = 1e-3
-
 
 def material(stream: BinaryIO, side: str) -> PatchMeans:
     """Means over patches of a file, with light on one of its faces.
@@ -48,24 +45,20 @@ def material(stream: BinaryIO, side: str) -> PatchMeans:
 
 
 def _matrix_means(bsdf: RadianceBSDF, side: str, held: Sequence[int]) -> PatchMeans:
-    """Means over the patches of a Klems basis.
-
-    At the middles of rings, of which the first is one patch around the pole, at as many
-    azimuths as the ring has that has most, on both sides of edges there.
-    """
-    patches, edges = bsdf.basis, bsdf.basis.theta_deg
-    thetas = np.array([0, *(np.add(edges[1:-1], edges[2:]) / 2)])
-    n, turns = max(patches.n_phi), [-EDGE_OFFSET, EDGE_OFFSET]
-    wo = unit_vectors(*(angle[:, 0] for angle in patches.middles))
-    grid = np.meshgrid(thetas, np.arange(n) * (360 / n), indexing="ij")
-    theta_i, phi_i = (angle.ravel() for angle in grid)
-    shape = len(theta_i), max(held) + 1, *patches.shape, len(bsdf.channels)
-    means = np.zeros(shape)
-    for h, (index, theta) in itertools.product(held, enumerate(theta_i)):
-        azimuths = phi_i[index] + np.array(turns)
-        values = [bsdf.values(side, h, theta, phi, wo) for phi in azimuths]
-        means[index, h] = np.mean(values, axis=0).reshape(shape[2:])
-    return PatchMeans.of(means, patches, (theta_i, phi_i), bsdf.channels)
+    """Means over the patches of a Klems basis, of exit and of incidence."""
+    patches = bsdf.basis
+    toward = [angle[:, 0] for angle in patches.middles]
+    incident = theta_i, phi_i = np.degrees(toward)
+    n = len(theta_i)
+    # each exit patch for each incident one
+    thetas, phis = (np.repeat(angle, n) for angle in incident)
+    wo = np.tile(unit_vectors(*toward), (n, 1))
+    means = np.zeros((n, max(held) + 1, *patches.shape, len(bsdf.channels)))
+    for h in held:
+        values = bsdf.values(side, h, thetas, phis, wo)
+        means[:, h] = values.reshape(n, *patches.shape, -1)
+    found = PatchMeans.of(means, patches, (theta_i, phi_i), bsdf.channels)
+    return replace(found, incident=patches)
 
 
 def _tree_means(bsdf: RadianceBSDF, side: str, held: Sequence[int]) -> PatchMeans:
