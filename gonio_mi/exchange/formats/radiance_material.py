@@ -14,12 +14,22 @@ from ...collector.shirley_chiu import ShirleyChiu
 from ...files.checks import require
 from ...results.patch_means import PatchMeans
 from .format import Format
-from .radiance import OTHER, RadianceBSDF
+from .radiance import (
+    DIRECTIONS,
+    OTHER,
+    RadianceBSDF,
+    diffuse_total,
+    has_one_value,
+)
 
 # Rings of cells in which tensor trees are read at most, by their rank; tilted incident
 # directions of rank 4; fewest and most cells per axis of the square of exit.
 MAX_RINGS, MAX_INCIDENT = {3: 64, 4: 16}, 960
 MIN_CELLS, MAX_CELLS = 8, 256
+
+# By which part of the larger one the transmittances of both sides may differ, which
+# noise and patches make unequal.
+MAX_UNEQUAL = 0.05
 
 # Points per axis of the square by which cells overlap patches.
 OVERLAP_POINTS = 512
@@ -34,14 +44,42 @@ def material(stream: BinaryIO, side: str) -> PatchMeans:
         If the file is damaged, or holds no light that meets the face.
     """
     bsdf = RadianceBSDF(stream)
+    notes = _reconciled(bsdf)
     held = [h for h in (0, 1) if bsdf.holds(side, h)]
     require(bool(held), f"it holds no light that meets its {side}")
     means = _matrix_means if bsdf.rank is None else _tree_means
     found = means(bsdf, side, held)
-    if bsdf.is_reciprocal(side, 1):
+    if bsdf.is_reciprocal(side, 1) and not notes:
         note = f"it tells the transmission of the {OTHER[side]} only, and that of the "
-        found = replace(found, notes=(f"{note}{side} is taken by reciprocity",))
-    return found
+        notes = (f"{note}{side} is taken by reciprocity",)
+    return replace(found, notes=notes)
+
+
+def _reconciled(bsdf: RadianceBSDF) -> tuple[str, ...]:
+    """Leave out a placeholder for the transmission of one side; what is to be told.
+
+    Transmittances for diffuse light from the front and from the back are equal in any
+    passive layer. Where they are not, and one side has a single value for all
+    directions, as the dummy values that WINDOW 6 may write, the other side counts.
+    """
+    names = {side: DIRECTIONS[side, 1] for side in OTHER}
+    if not all(("Visible", name) in bsdf.blocks for name in names.values()):
+        return ()
+    blocks = {side: bsdf.blocks["Visible", name] for side, name in names.items()}
+    totals = {side: diffuse_total(block) for side, block in blocks.items()}
+    low, high = sorted(totals.values())
+    if high - low <= MAX_UNEQUAL * high:
+        return ()
+    text = "its transmittances for diffuse light must be equal by reciprocity, but are "
+    text += " and ".join(f"{t:.4g} from the {side}" for side, t in totals.items())
+    dummies = [side for side, block in blocks.items() if has_one_value(block)]
+    if len(dummies) != 1:
+        return (f"{text}: each is taken as it is",)
+    (dummy,) = dummies
+    for key in [key for key in bsdf.blocks if key[1] == names[dummy]]:
+        del bsdf.blocks[key]
+    text += f": the {dummy} has one value for all directions, and its transmission is "
+    return (f"{text}taken from that of the {OTHER[dummy]}, by reciprocity",)
 
 
 def _matrix_means(bsdf: RadianceBSDF, side: str, held: Sequence[int]) -> PatchMeans:
