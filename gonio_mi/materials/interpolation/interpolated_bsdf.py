@@ -14,6 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from ...array_types import Floats, Integers
+from ...collector import Subdivision
 from ...collector.directions import direction
 from ...mitsuba_compat import floats
 from .incident_grid import MIN_BENDING, tried_indices
@@ -49,6 +50,8 @@ class InterpolatedBSDF:
         Of :class:`.InterpolatedLobes`, as :func:`.half_vector_segments` chooses them.
     quantiles : QuantileTransport, optional
         Of the table, where it is known.
+    patches : Subdivision, optional
+        In which the lobes were measured, if not in those of the table.
     """
 
     def __init__(
@@ -57,14 +60,15 @@ class InterpolatedBSDF:
         wavelengths: Floats | None = None,
         half_vectors: Sequence[HalfVectorSegments] = (),
         quantiles: QuantileTransport | None = None,
+        patches: Subdivision | None = None,
     ) -> None:
-        self.wavelengths = wavelengths
+        self.wavelengths, self.patches = wavelengths, patches or table.patches
         self.n_hemispheres = table.brdf.shape[2]
-        patches = table.grid.incident
+        incident = table.grid.incident
         self.incident = (
-            IncidentPatches(patches) if patches else IncidentPlaces(table.grid)
+            IncidentPatches(incident) if incident else IncidentPlaces(table.grid)
         )
-        self.anisotropic = bool(patches) or self.incident.n_azimuths > 1
+        self.anisotropic = bool(incident) or self.incident.n_azimuths > 1
         self.lobes = InterpolatedLobes(table, self.incident, half_vectors, quantiles)
         self.flux = doubles(table.flux.mean(axis=-1))
         self.transmits = bool(table.flux[:, :, 1:].any())
