@@ -158,6 +158,30 @@ class Receptors(Subdivision):
             index = xp.where(inside, float(number), index)
         return index
 
+    def filled(self, n: int) -> tuple[Floats, Floats]:
+        """Directions of ``n x n`` points in the last window, and what each stands for.
+
+        Shapes ``(n * n, 3)`` and ``(n * n,)``: projected solid angles in sr, which are
+        0 below the horizon.
+        """
+        window = self.windows[-1]
+        step = (np.arange(n) + 0.5) / n
+        half = np.radians(window[2:]) / 2
+        if len(half) == 1:
+            area, turn = np.meshgrid(step, 2 * np.pi * step)
+            height = 1 - 2 * np.sin(half[0] / 2) ** 2 * area
+            sine = np.sqrt(1 - height**2)
+            sides = sine * np.cos(turn), sine * np.sin(turn)
+            local = np.stack([*sides, height], axis=-1)
+            weight = np.full(n * n, 4 * np.pi * np.sin(half[0] / 2) ** 2 / n**2)
+        else:
+            u, v = np.meshgrid(*(np.tan(one) * (2 * step - 1) for one in half))
+            norm = np.sqrt(1 + u**2 + v**2)
+            local = np.stack([u, v, np.ones_like(u)], axis=-1) / norm[..., None]
+            weight = (4 * np.prod(np.tan(half)) / n**2 / norm**3).ravel()
+        wo = local.reshape(-1, 3) @ np.reshape(_row(window)[:9], (3, 3))
+        return wo, weight * np.maximum(wo[:, 2], 0)
+
     def _of_patches(
         self, cones: Sequence[float], rectangles: Sequence[float], hemisphere: float
     ) -> Floats:

@@ -136,6 +136,8 @@ class Goniometric(mi.BSDF):
                 'side="back", or of equal faces the same file, as back_filename',
             )
         self.faces = [front, back]
+        #: patches in which the front and the back were measured
+        self.patches = tuple(face and face.patches for face in self.faces)
         self._declare()
 
     def wavelength_range(self) -> tuple[float, float]:
@@ -162,7 +164,7 @@ class Goniometric(mi.BSDF):
             for face, side in having:
                 # in radiance mode transmission is seen from the other side
                 flags |= sides[0] | sides[1] if hemisphere else side
-                if face.n_azimuths > 1:
+                if face.anisotropic:
                     flags |= mi.BSDFFlags.Anisotropic
             if having:
                 components.append(flags)
@@ -297,9 +299,9 @@ def _face(label: str, name: str, side: str) -> InterpolatedBSDF:
     try:
         lobes, wavelengths = _lobes(_resolved(name), side)
         segments = half_vector_segments(lobes)
-        table = lobes.whole()
+        table, patches = lobes.whole(), lobes.measured
         del lobes  # which would be kept until the table's arrays are made
-        return InterpolatedBSDF(table, wavelengths, segments)
+        return InterpolatedBSDF(table, wavelengths, segments, patches=patches)
     except (ValueError, OSError) as error:
         raise type(error)(f"{label}: {error}") from None
 

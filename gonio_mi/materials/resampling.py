@@ -21,6 +21,7 @@ from ..mitsuba_compat import floats
 from ..progress import counted
 from ..results.patch_means import PatchMeans
 from ..results.record import Record, fractions_of
+from .interpolation.incident_grid import patches_of_incidence
 from .interpolation.interpolated_bsdf import InterpolatedBSDF, half_vector_segments
 from .interpolation.lobes import MeasuredLobes
 from .interpolation.lookups import seen_from
@@ -85,9 +86,9 @@ class Material:
             index = np.arange(len(flux))
             flux[index, :, rows, columns] -= peaks
             flux = np.maximum(flux, 0)  # up to rounding
-        rest = PatchMeans(
-            record.subdivision, record.theta_i, record.phi_i, record.channels, flux
-        )
+        asked = record.theta_i, record.phi_i, record.channels
+        incident = patches_of_incidence(record)
+        rest = PatchMeans(record.subdivision, *asked, flux, incident=incident)
         lobes = MeasuredLobes(rest, keep_dark=True)
         self.table = table = lobes.whole()
         self.peaks = table.grid.filled(peaks)
@@ -117,7 +118,7 @@ class Material:
 
     def _node(self, theta_i: ArrayLike, phi_i: ArrayLike) -> tuple[int, int] | None:
         """Numbers of a measured azimuth and polar angle; None between them."""
-        if np.ndim(theta_i) or np.ndim(phi_i):
+        if np.ndim(theta_i) or np.ndim(phi_i) or self.table.grid.incident:
             return None
         azimuth = np.flatnonzero(self.phi_i % 360 == np.mod(phi_i, 360))
         angle = np.flatnonzero(self.theta_i == theta_i)

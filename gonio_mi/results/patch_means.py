@@ -22,6 +22,9 @@ class PatchMeans:
     stacked : bool
     notes : tuple of str
         Sentences on how the file was read.
+    incident : Subdivision, optional
+        Patches of incidence, each of which has the means of one incident direction for
+        all of its own. Default: they hold at these directions alone.
     """
 
     subdivision: Subdivision
@@ -31,6 +34,7 @@ class PatchMeans:
     flux_fraction: np.ndarray
     stacked: bool = True
     notes: tuple[str, ...] = ()
+    incident: Subdivision | None = None
 
     @classmethod
     def of(

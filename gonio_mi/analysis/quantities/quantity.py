@@ -3,7 +3,7 @@
 import contextlib
 import inspect
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import mitsuba as mi
@@ -30,6 +30,7 @@ from ...specimen.specimen_text import SpecimenLike
 from ..comparison.measure_like import far_source
 from .definitions import DEFINITIONS, GROUPS, Definition, Range
 from .functionals import checked_weights, difference, jackknifed, ratio
+from .patch_limits import PatchLimits
 
 # Distance of a source, in extents of the specimen: a parallax of 6e-4 degrees.
 DISTANCE = 1e5
@@ -52,6 +53,9 @@ class Quantity:
         What was simulated, and where the quantity is defined.
     settings : mapping
         Of the measurement, as of a record.
+    unresolved : float
+        Part of the interval on either side that the patches leave open in which the
+        material itself, a file or a record, was measured.
     """
 
     name: str
@@ -61,6 +65,7 @@ class Quantity:
     hits: int
     definition: Definition
     settings: Mapping[str, Any]
+    unresolved: float = 0.0
 
     @classmethod
     def of(
@@ -77,6 +82,8 @@ class Quantity:
         text += f" (95 %: {low:.5g} to {high:.5g})"
         if not self.hits and np.isnan(self.std_err):
             text = f"0, at most {high:.3g}{unit}: no ray arrived"
+        if self.unresolved > self.std_err / 10:
+            text += f", of which +- {self.unresolved:.2g} by the material's patches"
         more = f"{own.title}: {own.geometry}; {self.hits} rays arrived. {own.source}"
         return f"{self.name}: {text}\n    {more}"
 
@@ -152,7 +159,8 @@ def quantities(
     stopped = False
     with loaded_once():
         given = settings.get("parameters"), settings.get("period")
-        extent = Specimen(load_specimen(specimen, *given)).reach
+        loaded = Specimen(load_specimen(specimen, *given))
+        extent, limits = loaded.reach, PatchLimits(loaded)
         for group in counted(_groups(parts), progress, unit="geometry"):
             decided = _light(group[0], extent) | {"collector": _collector(group, phi_i)}
             try:
@@ -171,10 +179,17 @@ def quantities(
         if not {id(part) for part in (own, own.minus) if part} <= records.keys():
             continue
         estimate, hits = evaluated(own, records[id(own)])
+        unresolved = limits.unresolved(own, estimate, records[id(own)])
         if own.minus:
-            less, _ = evaluated(own.minus, records[id(own.minus)])
+            beside = records[id(own.minus)]
+            less, _ = evaluated(own.minus, beside)
+            unresolved += limits.unresolved(own.minus, less, beside)
             estimate = difference(estimate, less)
-        found.append(Quantity.of(one, own, records[id(own)], estimate, hits))
+        # no flux is negative
+        low = min(estimate[2], max(estimate[2] - unresolved, 0.0))
+        estimate[2:] = low, estimate[3] + unresolved
+        each = Quantity.of(one, own, records[id(own)], estimate, hits)
+        found.append(replace(each, unresolved=unresolved))
     if not found:
         raise KeyboardInterrupt
     return tuple(found), stopped

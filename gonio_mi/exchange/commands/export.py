@@ -66,13 +66,15 @@ def run(options: Namespace) -> int:
         for path in options.output:
             losses = export(records, path, options.basis or "klems", progress=True)
             said += map(str, written_files(records[0], path))
-            said += [f"  {x}" for x in (losses if options.every else in_words(losses))]
+            lines = losses if options.every else in_words(losses)
             if Path(path).suffix.lower() == ".xml":
-                from ..exports.radiance_export import READ_BACK, read_back
+                from ..exports.radiance_export import IN_FILE, READ_BACK, read_back
 
                 back = in_words(read_back(records, path))
-                said += [f"  {READ_BACK}: {line}" for line in back]
-                said.append(f"  blocks: {BLOCKS}")
+                lines = [f"{IN_FILE}: {line}" for line in lines]
+                lines += [f"{READ_BACK}: {line}" for line in back]
+                lines.append(f"blocks: {BLOCKS}")
+            said += [f"  {line}" for line in lines]
             in_klems = Path(path).suffix.lower() == ".xml" and not options.basis
             if in_klems and max(one.misplaced for one in losses) > MAX_MISPLACED:
                 rank = 4 if len(set(records[0].phi_i.tolist())) > 1 else 3

@@ -39,8 +39,11 @@ HALF_WEDGE = 0.05
 # Means of pairs of patches are over this many points per side.
 MAX_EXCHANGED, POINTS_OF_PAIRS = 0.03, 3
 
-# Whose losses those of :func:`read_back` are, and at how many directions at most.
-READ_BACK, MAX_READ_BACK = "measured back with goniometric", 16
+# Where the losses of :func:`write_radiance` and of :func:`read_back` are; of these at
+# how many directions at most, and points of all patches of the record at least.
+IN_FILE = "in the file's patches"
+READ_BACK = "in the record's patches, as goniometric reads it"
+MAX_READ_BACK, READ_BACK_POINTS = 16, 2**16
 
 # Incident directions that are less apart have no lobes between them, in degrees.
 MAX_GAP = 45
@@ -112,7 +115,9 @@ def write_radiance(
 def read_back(records: Sequence[Record], path: str | PathLike[str]) -> list[Loss]:
     """Losses of a file as `goniometric` reads it, at some of the records' directions.
 
-    Parameters are as of :func:`write_radiance`, which wrote the file.
+    Unlike those of :func:`write_radiance`, which wrote the file, in the patches of the
+    record, over which the material is averaged: where these are finer, a narrow lobe is
+    lost that fills one patch of the file, and an even one is not.
     """
     every = []
     for whole in records:
@@ -120,8 +125,12 @@ def read_back(records: Sequence[Record], path: str | PathLike[str]) -> list[Loss
         record = lit_by(VISIBLE, Record.stack([whole[int(n)] for n in chosen]))
         with open(path, "rb") as stream:
             material = Material(radiance_material.material(stream, record.asked.side))
-        asked = record.theta_i, record.phi_i, record.subdivision
-        theirs: Any = [material.carried(h, *asked) for h in range(record.n_hemispheres)]
+        patches = record.subdivision
+        n_points = int(np.ceil(np.sqrt(READ_BACK_POINTS / patches.n_patches)))
+        n_points = min(max(n_points, CELL_POINTS), POINTS_OUT)
+        where = record.theta_i[:, None], record.phi_i[:, None], patches, n_points
+        hemispheres = range(record.n_hemispheres)
+        theirs: Any = [resampled(material, h, *where) for h in hemispheres]
         theirs = np.stack(theirs, axis=1)
         if len(record.channels) == 1:
             theirs = np.mean(theirs, axis=-1, keepdims=True)

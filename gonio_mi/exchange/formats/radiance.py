@@ -114,6 +114,20 @@ def basis_of(matrix: Floats) -> str:
     return next(name for name, one in KLEMS_BASES.items() if one.n_patches == n)
 
 
+def diffuse_total(block: Floats | TensorTree) -> float:
+    """Fraction of diffuse light, from all of a hemisphere, that leaves."""
+    if isinstance(block, TensorTree):
+        return block.diffuse_total()
+    solid = KLEMS_BASES[basis_of(block)].projected_solid_angles.ravel()
+    return float(solid @ block @ solid / np.pi)
+
+
+def has_one_value(block: Floats | TensorTree) -> bool:
+    """Whether a block has the same value for all pairs of directions."""
+    values = block.root if isinstance(block, TensorTree) else block
+    return not isinstance(values, list) and bool(np.all(values == values.flat[0]))
+
+
 def incident_patch(
     theta_i: ArrayLike, phi_i: ArrayLike, basis: Subdivision | None = None
 ) -> Integers:

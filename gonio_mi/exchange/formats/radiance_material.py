@@ -14,18 +14,25 @@ from ...collector.shirley_chiu import ShirleyChiu
 from ...files.checks import require
 from ...results.patch_means import PatchMeans
 from .format import Format
-from .radiance import OTHER, RadianceBSDF
+from .radiance import (
+    DIRECTIONS,
+    OTHER,
+    RadianceBSDF,
+    diffuse_total,
+    has_one_value,
+)
 
 # Rings of cells in which tensor trees are read at most, by their rank; tilted incident
 # directions of rank 4; fewest and most cells per axis of the square of exit.
 MAX_RINGS, MAX_INCIDENT = {3: 64, 4: 16}, 960
 MIN_CELLS, MAX_CELLS = 8, 256
 
+# By which part of the larger one the transmittances of both sides may differ, which
+# noise and patches make unequal.
+MAX_UNEQUAL = 0.05
+
 # Points per axis of the square by which cells overlap patches.
 OVERLAP_POINTS = 512
-
-# Half the width in degrees of what stands for an azimuth on an edge of patches.
-EDGE_OFFSET = 1e-3
 
 
 def material(stream: BinaryIO, side: str) -> PatchMeans:
@@ -37,35 +44,59 @@ def material(stream: BinaryIO, side: str) -> PatchMeans:
         If the file is damaged, or holds no light that meets the face.
     """
     bsdf = RadianceBSDF(stream)
+    notes = _reconciled(bsdf)
     held = [h for h in (0, 1) if bsdf.holds(side, h)]
     require(bool(held), f"it holds no light that meets its {side}")
     means = _matrix_means if bsdf.rank is None else _tree_means
     found = means(bsdf, side, held)
-    if bsdf.is_reciprocal(side, 1):
+    if bsdf.is_reciprocal(side, 1) and not notes:
         note = f"it tells the transmission of the {OTHER[side]} only, and that of the "
-        found = replace(found, notes=(f"{note}{side} is taken by reciprocity",))
-    return found
+        notes = (f"{note}{side} is taken by reciprocity",)
+    return replace(found, notes=notes)
+
+
+def _reconciled(bsdf: RadianceBSDF) -> tuple[str, ...]:
+    """Leave out a placeholder for the transmission of one side; what is to be told.
+
+    Transmittances for diffuse light from the front and from the back are equal in any
+    passive layer. Where they are not, and one side has a single value for all
+    directions, as the dummy values that WINDOW 6 may write, the other side counts.
+    """
+    names = {side: DIRECTIONS[side, 1] for side in OTHER}
+    if not all(("Visible", name) in bsdf.blocks for name in names.values()):
+        return ()
+    blocks = {side: bsdf.blocks["Visible", name] for side, name in names.items()}
+    totals = {side: diffuse_total(block) for side, block in blocks.items()}
+    low, high = sorted(totals.values())
+    if high - low <= MAX_UNEQUAL * high:
+        return ()
+    text = "its transmittances for diffuse light must be equal by reciprocity, but are "
+    text += " and ".join(f"{t:.4g} from the {side}" for side, t in totals.items())
+    dummies = [side for side, block in blocks.items() if has_one_value(block)]
+    if len(dummies) != 1:
+        return (f"{text}: each is taken as it is",)
+    (dummy,) = dummies
+    for key in [key for key in bsdf.blocks if key[1] == names[dummy]]:
+        del bsdf.blocks[key]
+    text += f": the {dummy} has one value for all directions, and its transmission is "
+    return (f"{text}taken from that of the {OTHER[dummy]}, by reciprocity",)
 
 
 def _matrix_means(bsdf: RadianceBSDF, side: str, held: Sequence[int]) -> PatchMeans:
-    """Means over the patches of a Klems basis.
-
-    At the middles of rings, of which the first is one patch around the pole, at as many
-    azimuths as the ring has that has most, on both sides of edges there.
-    """
-    patches, edges = bsdf.basis, bsdf.basis.theta_deg
-    thetas = np.array([0, *(np.add(edges[1:-1], edges[2:]) / 2)])
-    n, turns = max(patches.n_phi), [-EDGE_OFFSET, EDGE_OFFSET]
-    wo = unit_vectors(*(angle[:, 0] for angle in patches.middles))
-    grid = np.meshgrid(thetas, np.arange(n) * (360 / n), indexing="ij")
-    theta_i, phi_i = (angle.ravel() for angle in grid)
-    shape = len(theta_i), max(held) + 1, *patches.shape, len(bsdf.channels)
-    means = np.zeros(shape)
-    for h, (index, theta) in itertools.product(held, enumerate(theta_i)):
-        azimuths = phi_i[index] + np.array(turns)
-        values = [bsdf.values(side, h, theta, phi, wo) for phi in azimuths]
-        means[index, h] = np.mean(values, axis=0).reshape(shape[2:])
-    return PatchMeans.of(means, patches, (theta_i, phi_i), bsdf.channels)
+    """Means over the patches of a Klems basis, of exit and of incidence."""
+    patches = bsdf.basis
+    toward = [angle[:, 0] for angle in patches.middles]
+    incident = theta_i, phi_i = np.degrees(toward)
+    n = len(theta_i)
+    # each exit patch for each incident one
+    thetas, phis = (np.repeat(angle, n) for angle in incident)
+    wo = np.tile(unit_vectors(*toward), (n, 1))
+    means = np.zeros((n, max(held) + 1, *patches.shape, len(bsdf.channels)))
+    for h in held:
+        values = bsdf.values(side, h, thetas, phis, wo)
+        means[:, h] = values.reshape(n, *patches.shape, -1)
+    found = PatchMeans.of(means, patches, (theta_i, phi_i), bsdf.channels)
+    return replace(found, incident=patches)
 
 
 def _tree_means(bsdf: RadianceBSDF, side: str, held: Sequence[int]) -> PatchMeans:

@@ -108,6 +108,10 @@ class TensorTree:
         below_one = np.nextafter(1.0, 0.0)
         return _looked_up(self.root, np.clip(points, 0.0, below_one))
 
+    def diffuse_total(self) -> float:
+        """Fraction of diffuse light, from all of a hemisphere, that leaves."""
+        return float(np.pi * _weighted(self.root, self.rank, 0.0, 1.0))
+
 
 def coordinates(rank: int, theta_i: ArrayLike, phi_i: ArrayLike, wo: Floats) -> Floats:
     """Points of the cube for pairs of directions, shape ``(n, rank)``.
@@ -163,6 +167,23 @@ def _merged(values: Floats, flat: float) -> Node:
 
 def _size(node: Node) -> int:
     return 2 * max(map(_size, node)) if isinstance(node, list) else len(node)
+
+
+def _weighted(node: Node, rank: int, start: float, size: float) -> float:
+    """Integral over a cube, of side `size` from `start` on, by incident light.
+
+    The squares are even in projected solid angle; the first axis of rank 3, which is
+    ``(1 - sin(theta_i)) / 2``, has the light ``sin(theta_i)`` and ends in its middle.
+    """
+    if isinstance(node, list):
+        half = size / 2
+        starts = (start + half * (number & 1) for number in range(len(node)))
+        return sum(_weighted(one, rank, low, half) for one, low in zip(node, starts))
+    n = len(node)
+    sums = node.reshape(n, -1).sum(axis=1) * (size / n) ** (rank - 1)
+    edges = start + size * np.arange(n + 1) / n
+    light = edges if rank == 4 else -np.square(np.maximum(1 - 2 * edges, 0))
+    return float(np.diff(light) @ sums)
 
 
 def _text(node: Node) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 
 from ...array_types import Flags, Floats, Integers
 from ...collector import RingsAndSectors, Subdivision
+from ...collector.directions import direction
 from ...errors import SettingError
 from ...results.azimuth_symmetry import AzimuthSymmetry, Motion, symmetry_of
 from ...results.patch_means import PatchMeans
@@ -168,6 +169,9 @@ class IncidentGrid:
         The same for transmitted light, with this refractive index of the other side.
     symmetry : AzimuthSymmetry, optional
         By which a campaign copied directions.
+    incident : Subdivision, optional
+        Patches of incidence instead of azimuths and angles: the second axis of `index`
+        is their number, `theta_i` are their middles, and there is one azimuth, 0.
     """
 
     theta_i: Floats
@@ -178,6 +182,7 @@ class IncidentGrid:
     reflects: bool
     eta: float | None = None
     symmetry: AzimuthSymmetry | None = None
+    incident: Subdivision | None = None
 
     @classmethod
     def of(cls, record: Record | PatchMeans, flux: Floats) -> IncidentGrid:
@@ -191,6 +196,12 @@ class IncidentGrid:
         """
         if not np.isfinite([record.theta_i, record.phi_i]).all():
             raise SettingError("the record must know its incident directions, got NaN")
+        incident = patches_of_incidence(record)
+        if incident is not None:
+            order = np.argsort(_incident_patch(record, incident))
+            theta_i, none = record.theta_i[order], np.zeros(len(order), bool)
+            axes = theta_i, np.zeros(1), order[None], none
+            return cls(*axes, record.subdivision, reflects=False, incident=incident)
         theta_i, of_theta = _levels(record.theta_i)
         # along the normal there is no azimuth: what was measured there is for all
         normal = (of_theta == 0) & (theta_i[0] < ANGLE_TOLERANCE)
@@ -335,6 +346,28 @@ class IncidentGrid:
     def moves(self, hemisphere: int) -> bool:
         """Whether light moves between azimuths by its micro-normals."""
         return self.eta is not None if hemisphere else self.reflects
+
+
+def patches_of_incidence(record: Record | PatchMeans) -> Subdivision | None:
+    """Patches of incidence, each of which has its own lobes; None for directions.
+
+    Those of a matrix of patches, or of a record whose light filled patches that are no
+    rings of equal sectors, and so no azimuths and angles to interpolate between.
+    """
+    if isinstance(record, PatchMeans):
+        return record.incident
+    incident = record.asked.incident
+    if incident is None or isinstance(incident, RingsAndSectors):
+        return None
+    filled = np.sort(_incident_patch(record, incident))
+    is_whole = np.array_equal(filled, np.arange(incident.n_patches))
+    return incident if is_whole else None
+
+
+def _incident_patch(record: Record | PatchMeans, incident: Subdivision) -> Integers:
+    """Patch of incidence of each of the stack."""
+    towards = direction(np.radians(record.theta_i), np.radians(record.phi_i))
+    return incident.patch(towards)
 
 
 def _is_filled(grid: Integers, phi_i: Floats, patches: Subdivision) -> bool:

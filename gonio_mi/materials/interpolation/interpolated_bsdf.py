@@ -14,6 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from ...array_types import Floats, Integers
+from ...collector import Subdivision
 from ...collector.directions import direction
 from ...mitsuba_compat import floats
 from .incident_grid import MIN_BENDING, tried_indices
@@ -23,7 +24,15 @@ from .interpolated_lobes import (
     QuantileTransport,
 )
 from .lobes import LobeTable, MeasuredLobes, mean_lobe
-from .lookups import IncidentPlaces, Place, doubles, read, seen_from, towards
+from .lookups import (
+    IncidentPatches,
+    IncidentPlaces,
+    Place,
+    doubles,
+    read,
+    seen_from,
+    towards,
+)
 
 
 class InterpolatedBSDF:
@@ -41,6 +50,8 @@ class InterpolatedBSDF:
         Of :class:`.InterpolatedLobes`, as :func:`.half_vector_segments` chooses them.
     quantiles : QuantileTransport, optional
         Of the table, where it is known.
+    patches : Subdivision, optional
+        In which the lobes were measured, if not in those of the table.
     """
 
     def __init__(
@@ -49,10 +60,15 @@ class InterpolatedBSDF:
         wavelengths: Floats | None = None,
         half_vectors: Sequence[HalfVectorSegments] = (),
         quantiles: QuantileTransport | None = None,
+        patches: Subdivision | None = None,
     ) -> None:
-        self.wavelengths = wavelengths
-        self.n_azimuths, _, self.n_hemispheres = table.brdf.shape[:3]
-        self.incident = IncidentPlaces(table.grid)
+        self.wavelengths, self.patches = wavelengths, patches or table.patches
+        self.n_hemispheres = table.brdf.shape[2]
+        incident = table.grid.incident
+        self.incident = (
+            IncidentPatches(incident) if incident else IncidentPlaces(table.grid)
+        )
+        self.anisotropic = bool(incident) or self.incident.n_azimuths > 1
         self.lobes = InterpolatedLobes(table, self.incident, half_vectors, quantiles)
         self.flux = doubles(table.flux.mean(axis=-1))
         self.transmits = bool(table.flux[:, :, 1:].any())
@@ -222,10 +238,10 @@ def half_vector_segments(lobes: MeasuredLobes) -> list[HalfVectorSegments]:
 
     On a segment by quantiles (:class:`.QuantileTransport`), or with micro-normals that
     stay where these predict the nearest record better, as a camera sees it, from those
-    of the next smaller and the next larger angle.
+    of the next smaller and the next larger angle. Of patches of incidence none moves.
     """
     n_angles = len(lobes.grid.theta_i)
-    if n_angles < 3:
+    if n_angles < 3 or lobes.grid.incident:
         return []
     angles = np.unique(np.linspace(1, n_angles - 2, MAX_TRIALS).round().astype(int))
     trials = [_Trial(lobes, n / len(angles), k) for n, k in enumerate(angles.tolist())]

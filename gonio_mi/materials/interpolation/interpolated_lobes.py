@@ -14,6 +14,7 @@ from .half_vectors import is_redirected, redirected
 from .lobes import Drawing, LobeTable, mean_lobes, transport_pieces
 from .lookups import (
     DiskPoint,
+    IncidentPatches,
     IncidentPlaces,
     Place,
     above,
@@ -318,7 +319,7 @@ class InterpolatedLobes:
     Parameters
     ----------
     table : LobeTable
-    incident : IncidentPlaces
+    incident : IncidentPlaces or IncidentPatches
         Of the table's grid.
     half_vectors : sequence of HalfVectorSegments, optional
         Where light keeps its micro-normals between polar angles; elsewhere it moves by
@@ -330,7 +331,7 @@ class InterpolatedLobes:
     def __init__(
         self,
         table: LobeTable,
-        incident: IncidentPlaces,
+        incident: IncidentPlaces | IncidentPatches,
         half_vectors: Sequence[HalfVectorSegments] = (),
         quantiles: QuantileTransport | None = None,
     ) -> None:
@@ -349,7 +350,8 @@ class InterpolatedLobes:
         ]
         self.azimuths = HalfVectorTransport(between, moving)
         # slow to find: none where nothing moves by them
-        self.segments = (quantiles or QuantileTransport(table)) if by_segments else None
+        moves = by_segments and not grid.incident
+        self.segments = (quantiles or QuantileTransport(table)) if moves else None
         self.measured = LobeArrays(table)
         self.n_channels = self.measured.n_channels
 

@@ -11,6 +11,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...collector import Subdivision
+from ...transport.collector_sphere import DRJIT
 from .incident_grid import IncidentGrid
 from .lobes import aligned
 
@@ -130,6 +132,39 @@ class Place:
     def fraction(self, end: int) -> mi.Float64:
         """What an end of the segment has of this azimuth."""
         return self.t if end else 1 - self.t
+
+
+class IncidentPatches:
+    """Patches of incidence, in each of which light of all directions has its lobes.
+
+    Lobes neither turn nor move: the frame of incidence has the azimuth 0.
+
+    Parameters
+    ----------
+    patches : Subdivision
+    """
+
+    n_azimuths = n_angles = n_segments = 1
+
+    def __init__(self, patches: Subdivision) -> None:
+        self.patches = patches
+
+    def azimuth(self, wi: mi.Vector3f) -> mi.Float64:  # noqa: ARG002
+        """Azimuth of the frame of lobes."""
+        return mi.Float64(0)
+
+    def measured(self, azimuth: mi.UInt32) -> mi.Float64:  # noqa: ARG002
+        """Azimuth of the frame of lobes."""
+        return mi.Float64(0)
+
+    def around(self, wi: mi.Vector3f, phi: mi.Float64) -> list[Place]:
+        """Return the row of the patch that holds `wi`."""
+        v = dr.normalize(wi)
+        row = mi.UInt32(self.patches.patch_index(DRJIT, v.x, v.y, dr.abs(v.z)))
+        row = dr.minimum(row, self.patches.n_patches - 1)  # of NaN too
+        z = mi.Float64(v.z)
+        one, zero, first = mi.Float64(1), mi.Float64(0), mi.UInt32(0)
+        return [Place(one, first, first, (row, row), zero, phi, z, (z, z))]
 
 
 class IncidentPlaces:

@@ -369,7 +369,7 @@ def test_command_writes_the_product_and_solar_light(tmp_path, capsys):
     of_front = ["0.0000", "0.5000", "0.0000", "0.2500"]
     assert re.findall(r"0\.\d{4}", first) == of_front
     assert first.startswith("front, normal ")
-    back = [line for line in more if line.startswith("measured back with goniometric")]
+    back = [line for line in more if line.startswith(radiance_export.READ_BACK)]
     assert len(back) == 2
     # every ray has the weight of the reflectance
     assert float(back[0].partition("total off by ")[2].split()[0]) <= 2 * DIGITS

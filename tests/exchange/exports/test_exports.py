@@ -19,6 +19,7 @@ from gonio_mi.collector.klems import Klems
 from gonio_mi.errors import FileFormatError, VariantError
 from gonio_mi.exchange.exports import exporting, loss, measured_export, radiance_export
 from gonio_mi.exchange.formats import merl
+from gonio_mi.exchange.formats.radiance import RadianceBSDF
 from gonio_mi.files import tensor_file
 from gonio_mi.materials import resampling
 from gonio_mi.transport.collector_sphere import CollectorSphere
@@ -109,6 +110,37 @@ def test_other_numbers_of_points_compile_nothing():
             new.append({one["hash"] for one in history}.difference(*new))
     assert new[0]
     assert not new[1]
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("basis", ["klems-quarter", "tensor3"])
+def test_even_light_is_not_lost_in_coarse_files(tmp_path, monkeypatch, basis):
+    """Read back in patches that are finer than the file's; twin: a lobe is lost."""
+    for name, fewer in (("POINTS_OUT", 4), ("POINTS_IN", 1), ("TREE_SIZES", {3: 16})):
+        monkeypatch.setattr(radiance_export, name, fewer)
+    path, losses = tmp_path / "a.xml", []
+    asked = "projected:24x48", (0, 30, 60), (0,) * 3
+    for power in (0, 300):
+        record = synthetic.record(*asked, power=power, rays=10**7)
+        exporting.export(record, path, basis)
+        losses.append(radiance_export.read_back([record], path))
+        with open(path, "rb") as stream:
+            written = RadianceBSDF(stream)
+        if basis == "tensor3":
+            continue  # whose cells goniometric divides among rings
+        points = record.subdivision.points(8)
+        areas = record.subdivision.projected_solid_angles.ravel()
+        for one, lost in zip(record, losses[-1]):
+            at = written.values("front", 0, lost.theta_i, 0, points.reshape(-1, 3))
+            own = at.reshape(len(areas), -1).mean(axis=1) * areas
+            flux = one.flux_fraction[0, ..., 0].ravel()
+            most = max(own.sum(), flux.sum())
+            found = np.abs(own - flux).sum() / 2 / most
+            # light that points miss, of which the total is corrected
+            assert abs(found - lost.misplaced) <= resampling.MAX_MISSED
+    noise = max(lost.noise for lost in losses[0])
+    assert max(lost.misplaced for lost in losses[0]) <= 2 * noise
+    assert min(lost.misplaced for lost in losses[1]) > 10 * noise
 
 
 # ------------------------------------------------------------------ Mitsuba's measured

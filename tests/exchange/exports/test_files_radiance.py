@@ -20,7 +20,7 @@ from gonio_mi.errors import FileFormatError
 from gonio_mi.exchange.exports import exporting, radiance_export
 from gonio_mi.exchange.exports.radiance_export import matrices, trees
 from gonio_mi.exchange.formats import radiance, radiance_material, tensor_tree
-from gonio_mi.exchange.formats.radiance import RadianceBSDF
+from gonio_mi.exchange.formats.radiance import OTHER, RadianceBSDF
 from gonio_mi.exchange.formats.tensor_tree import TensorTree
 from gonio_mi.materials.resampling import Material
 from gonio_mi.results.record import XYZ
@@ -258,6 +258,42 @@ def test_one_transmission_is_that_of_both_sides(tmp_path, basis, told):
         seen = rtrace(tmp_path, "pane.xml", wi * [1, 1, up], wo * [1, 1, -up])[:, 1]
         assert (np.abs(seen - values[side]) <= 2 * RADIANCE_NOISE * seen).all()
     assert not np.allclose(values["front"], values["back"], rtol=0.1)
+
+
+@pytest.mark.parametrize("basis", ["klems-quarter", "tensor3", "tensor4"])
+@pytest.mark.parametrize("value", [0.0, 0.05])
+def test_placeholders_of_a_transmission_do_not_count(tmp_path, basis, value):
+    """As if the file did not hold them, and the transmittances of both are told."""
+    names = [radiance.DIRECTIONS[side, 1] for side in ("front", "back")]
+    block = random_block(basis)
+    dummy = value * np.ones_like(block if basis == "klems-quarter" else block.root)
+    dummy = dummy if basis == "klems-quarter" else TensorTree.of(dummy)
+    files = ([None, block], [dummy, block], [block, block], [block, scaled(block)])
+    found = []
+    for number, blocks in enumerate(files):
+        path = tmp_path / f"{number}.xml"
+        some = {("Visible", n): b for n, b in zip(names, blocks) if b is not None}
+        written(path, some)
+        with open(path, "rb") as stream:
+            found.append(radiance_material.material(stream, "front"))
+    alone, with_dummy, alike, unlike = found
+    assert np.array_equal(with_dummy.flux_fraction, alone.flux_fraction)
+    (note,) = with_dummy.notes
+    # a mean of 0.2 in 1/sr, within the standard deviation of as few cells as 32
+    total, lower = (float(re.search(rf"(\S+) from the {s}", note)[1]) for s in OTHER)
+    assert total == pytest.approx(value * np.pi, rel=1e-3)
+    assert abs(lower / np.pi - 0.2) < 0.2 / np.sqrt(12 * 32) * 3
+    assert note.endswith("taken from that of the back, by reciprocity")
+    assert not alike.notes
+    assert unlike.notes[0].endswith("each is taken as it is")  # twin
+    assert not np.allclose(alike.flux_fraction, alone.flux_fraction, rtol=0.1)
+
+
+def scaled(block):
+    """Block of nine tenths of the values."""
+    if isinstance(block, TensorTree):
+        return TensorTree.of(0.9 * block.root, flat=0)
+    return 0.9 * block
 
 
 def test_text_before_the_declaration_is_passed_over():

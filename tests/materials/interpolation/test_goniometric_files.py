@@ -24,7 +24,6 @@ from gonio_mi.collector.directions import direction
 from gonio_mi.collector.klems import Klems
 from gonio_mi.exchange.exports import exporting, measured_export, radiance_export
 from gonio_mi.exchange.formats import radiance
-from gonio_mi.exchange.formats.reading import load_material
 from gonio_mi.materials.interpolation import interpolated_bsdf, lobes
 
 # Not in their order.
@@ -214,19 +213,46 @@ def test_a_klems_file_is_a_material(tmp_path):
             assert (np.abs(seen - expected) <= mixed + ROUNDING * expected).all()
 
 
-@pytest.mark.usefixtures("mono", "coarse")
-def test_on_a_border_both_patches_count(tmp_path):
-    matrix = np.ones((145, 145))
-    low, high = (radiance.incident_patch(82.5, phi) for phi in (0, 30))
-    matrix[:, low] = 3
+@pytest.mark.usefixtures("mono")
+def test_all_directions_of_an_incident_patch_have_its_column(tmp_path):
+    """Between azimuths of a ring too, and of all variants of Dr.Jit's functions."""
+    matrix = 0.1 + np.random.default_rng(4).random((41, 41))
     with open(tmp_path / "a.xml", "wb") as stream:
         radiance.write({("Visible", "Reflection Back"): matrix}, stream)
-    record = load_material(tmp_path / "a.xml")
-    here = (record.theta_i == 82.5) & (record.phi_i == 15)
-    assert low != high
-    brdf = record.flux_fraction[here][0, 0, :, 0, 0]
-    brdf = brdf / Klems().projected_solid_angles[:, 0]
-    assert (np.abs(brdf - 2) <= 4 * np.finfo(float).eps * 2).all()
+    bsdf, klems = material(tmp_path / "a.xml"), Klems("quarter")
+    wo = direction(*(angle[:, 0] for angle in klems.middles))
+    for theta_i, phi_i in ((2, 100), (18, 22), (26.9, 23), (44, 15.5), (89, 337)):
+        seen = values(bsdf, wo, theta_i, phi_i)[:, 0]
+        expected = matrix[:, radiance.incident_patch(theta_i, phi_i, klems)]
+        assert (np.abs(seen - expected) <= ROUNDING * expected).all()
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("kind", ["file", "record"])
+def test_patches_measured_again_are_the_same(tmp_path, kind):
+    """What goes straight on, in patches of its own: exactly, and so is the total.
+
+    Some rings have 8 sectors, others 12: as means of two of the neighbours' azimuths up
+    to a third of the light would be in patches beside. Twin: other patches do lose it.
+    """
+    klems, path = Klems("quarter"), tmp_path / "slats.xml"
+    straight = np.diag(np.linspace(0.2, 0.6, 41)) / klems.projected_solid_angles
+    with open(path, "wb") as stream:
+        radiance.write({("Visible", "Transmission Back"): straight}, stream)
+    same = {"incident": "klems-quarter", "collector": "klems-quarter", "rays": 64}
+    again = gonio.measure(material(path), **same)
+    if kind == "record":  # whose light filled its incident patches
+        again.save(tmp_path / "slats.npz")
+        again = gonio.measure(material(tmp_path / "slats.npz"), **same)
+    column = radiance.incident_patch(again.theta_i, again.phi_i, klems)
+    flux = again.flux_fraction[:, 1, :, 0, 0]
+    expected = np.diag(np.linspace(0.2, 0.6, 41))[:, column].T
+    # seven digits of the file, and edges of patches in single precision
+    assert (np.abs(flux - expected) <= 1e-6 + expected * 2 * ROUNDING).all()
+    assert (np.abs(again.dht[:, 0] - expected.sum(axis=1)) <= 1e-6).all()
+    turned = gonio.measure(material(path), **same | {"incident": "klems-half"})
+    flux = turned.flux_fraction[:, 1, :, 0, 0]
+    assert (flux.max(axis=1) < 0.9 * flux.sum(axis=1)).any()
 
 
 @pytest.mark.usefixtures("rgb", "coarse")
