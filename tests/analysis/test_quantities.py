@@ -804,3 +804,35 @@ def test_commands_take_the_surfaces_that_they_advise(tmp_path, capsys):
     assert main(words) == 1
     assert "--fill nearest" in capsys.readouterr().err
     assert main([*words, "--fill", "nearest"]) == 0
+
+
+@pytest.fixture(scope="module")
+def coarse_plastic(tmp_path_factory):
+    """A glossy plastic as a material of 30 x 30 patches."""
+    mi.set_variant("llvm_ad_mono")
+    path = tmp_path_factory.mktemp("coarse") / "plastic.npz"
+    plastic = {"type": "roughplastic", "alpha": 0.1}
+    gonio.measure(plastic, [0, 20, 40, 60, 75], rays=10**5).save(path)
+    return plastic, {"type": "goniometric", "filename": str(path)}
+
+
+@pytest.mark.needs("materials")
+def test_patches_of_a_material_widen_the_interval(coarse_plastic):
+    """To where the model's own value is; twin: chance alone leaves much less open."""
+    plastic, material = coarse_plastic
+    truth = gonio.quantity("gloss20", plastic, rays=2**18).value
+    found = gonio.quantity("gloss20", material)
+    low, high = found.interval
+    assert low <= truth <= high
+    assert found.unresolved > 6 * found.std_err
+    assert high - low > 2 * found.unresolved
+    assert "by the material's patches" in str(found)
+
+
+@pytest.mark.needs("materials")
+def test_patches_that_do_not_resolve_the_light_are_refused(coarse_plastic):
+    """Twin: the model itself, which has no patches."""
+    plastic, material = coarse_plastic
+    with pytest.raises(SettingError, match="patches resolve the light about its rec"):
+        gonio.quantity("gloss60", material)
+    assert gonio.quantity("gloss60", plastic, rays=2**14).unresolved == 0
