@@ -58,10 +58,13 @@ class Goniometric(mi.BSDF):
          none, and that face is black)
 
     Component 0 is reflection; of a record with light in the lower hemisphere, component
-    1 is transmission. At an incident direction of the record, the BSDF is the record:
-    its means over patches are those measured, and within a patch it is linear, as the
-    patches around suggest (constant in a Klems file). Between two polar angles the
-    lobes of both *move* to the place that lies between them, and are mixed linearly in
+    1 is transmission. A matrix of patches (Klems) holds means over incident patches:
+    for light of any direction in one of them the BSDF is that patch's, constant in each
+    patch of exit, as in Radiance. Of other records, at an incident direction of the
+    record, the BSDF is the record: its means over patches are those measured, and
+    within a patch it is linear, as the patches around suggest. Between two polar angles
+    the lobes of both *move* to the place that lies between them, and are mixed linearly
+    in
     :math:`\sin\theta_i`, and so are reflectance and transmittance. On each of these
     segments, and for either hemisphere on its own, they move in the way by which the
     record's nearest angle is better predicted from the next smaller and the next larger
