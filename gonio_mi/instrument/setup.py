@@ -8,7 +8,14 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from ..errors import SettingTypeError, SpecimenError, shown, warn
+from ..collector.directions import direction
+from ..errors import (
+    FinerPatchesWarning,
+    SettingTypeError,
+    SpecimenError,
+    shown,
+    warn,
+)
 from ..quadrature.integrate import check_integrable
 from ..settings import (
     COLLECTOR,
@@ -98,6 +105,7 @@ def set_up(
     specimen = Specimen(scene, settings.period)
     specimen.name = name
     _check_specimen(specimen, settings)
+    _warn_of_finer_patches(specimen, settings)
     corner = np.abs([specimen.low, specimen.high]).max(axis=0)
     if 0 < radius <= np.linalg.norm(corner):
         raise SpecimenError(
@@ -139,6 +147,28 @@ def set_up(
         return [first, *(lit(settings, incident) for incident in incidents[1:])]
     beams = (first.beam.turned(towards(one, settings.side)) for one in angles[1:])
     return [first, *map(first.turned, beams, angles[1:])]
+
+
+# Of the patches of a collector, by how much those of the material may be larger.
+MAX_LARGER = 2.0
+
+
+def _warn_of_finer_patches(specimen: Specimen, settings: MeasurementSettings) -> None:
+    """Warn if most patches are finer than those in which the material was measured."""
+    measured = specimen.measured_patches[int(settings.side == "back")]
+    if measured is None:
+        return
+    own, (theta, phi) = settings.collector, settings.collector.middles
+    known = np.isfinite(theta)
+    number = measured.patch(direction(theta[known], phi[known]))
+    larger = measured.solid_angles.ravel()[number] / own.solid_angles[known]
+    if known.any() and np.median(larger) > MAX_LARGER:
+        warn(
+            f"the patches of the collector, {own!s:.40}, are finer than those in which "
+            f"the material was measured, {measured!s:.40}: how light is spread within "
+            "these is not known",
+            FinerPatchesWarning,
+        )
 
 
 def _check_estimator(setup: Setup) -> None:

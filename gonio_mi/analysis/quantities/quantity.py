@@ -2,6 +2,7 @@
 
 import contextlib
 import inspect
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,7 +15,13 @@ from ...array_types import Floats
 from ...campaigns.measure import measure
 from ...collector import Borders, Receptors, Subdivision
 from ...collector.receptors import Window, holds
-from ...errors import SettingError, checked_choice, checked_number, warn
+from ...errors import (
+    FinerPatchesWarning,
+    SettingError,
+    checked_choice,
+    checked_number,
+    warn,
+)
 from ...instrument.loading import load_specimen, loaded_once
 from ...instrument.specimen_text import SpecimenLike
 from ...progress import counted
@@ -140,7 +147,9 @@ def quantity(
         extent, limits = loaded.reach, PatchLimits(loaded)
         for group in counted(_groups(parts), progress, unit="geometry"):
             decided = _light(group[0], extent) | {"collector": _collector(group, phi_i)}
-            record = measure(specimen, phi_i=phi_i, **settings, **decided)
+            with warnings.catch_warnings():  # of which the limits tell
+                warnings.simplefilter("ignore", FinerPatchesWarning)
+                record = measure(specimen, phi_i=phi_i, **settings, **decided)
             records |= {id(one): record for one in group}
             if not (record.flux_fraction.any() or record.ledger.missed):
                 text = "no light leaves the specimen: from behind a one-sided BSDF is "
