@@ -122,6 +122,10 @@ class LostLightWarning(RuntimeWarning):
     """More light than chance would take is in no patch, or missed the specimen."""
 
 
+class FinerPatchesWarning(RuntimeWarning):
+    """The collector is finer than the patches in which the material was measured."""
+
+
 class SettingError(ValueError):
     """What a user gave is not what it must be; other ValueErrors are bugs of ours.
 

@@ -71,7 +71,9 @@ def measure(
         ``interrupted``. A BSDF that creates light, as a reflectance above 1 does, gives
         a warning. Light that is in no patch, misses the specimen, or leaves over edges
         of a surface that may be larger, beyond the statistical error, gives a
-        :class:`~gonio_mi.errors.LostLightWarning`.
+        :class:`~gonio_mi.errors.LostLightWarning`; a collector that is finer than the
+        patches in which the specimen's own material was measured, a
+        :class:`~gonio_mi.errors.FinerPatchesWarning`.
 
     Raises
     ------

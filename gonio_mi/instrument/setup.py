@@ -7,8 +7,16 @@ from dataclasses import replace
 from typing import Any
 
 import mitsuba as mi
+import numpy as np
 
-from ..errors import SettingTypeError, SpecimenError, shown, warn
+from ..collector.directions import direction
+from ..errors import (
+    FinerPatchesWarning,
+    SettingTypeError,
+    SpecimenError,
+    shown,
+    warn,
+)
 from ..estimators import METHODS
 from ..estimators.auto import PILOT_INCIDENT, chosen
 from ..results.tally import Tally
@@ -98,6 +106,7 @@ def set_up(
     sampler = _loaded_sampler(settings)
     specimen = Specimen(scene, settings.period, name)
     _check_specimen(specimen, settings)
+    _warn_of_finer_patches(specimen, settings)
     defects = _defects(specimen, settings)
     collector = _collector(specimen, settings)
     described = described_digest(emitter)
@@ -163,6 +172,30 @@ def _short_run(setup: Setup, each: int) -> Tally:
     """Batches of so many rays."""
     part = Round((each,) * setup.settings.batches)
     return Tally.join([tally for (tally,) in Launcher([setup]).tallies([setup], part)])
+
+
+# Of the patches of a collector, by how much those of the material may be larger.
+MAX_LARGER = 2.0
+
+
+def _warn_of_finer_patches(specimen: Specimen, settings: MeasurementSettings) -> None:
+    """Warn if most patches are finer than those in which the material was measured.
+
+    Not of single receptors: what these may get, a quantity bounds.
+    """
+    measured = specimen.measured_patches[int(settings.side == "back")]
+    if measured is None or settings.collector.axes is not None:
+        return
+    own, (theta, phi) = settings.collector, settings.collector.middles
+    number = measured.patch(direction(theta, phi).reshape(-1, 3))
+    larger = measured.solid_angles.ravel()[number] / own.solid_angles.ravel()
+    if np.median(larger) > MAX_LARGER:
+        warn(
+            f"the patches of the collector, {own!s:.40}, are finer than those in which "
+            f"the material was measured, {measured!s:.40}: how light is spread within "
+            "these is not known",
+            FinerPatchesWarning,
+        )
 
 
 def _check_specimen(specimen: Specimen, settings: MeasurementSettings) -> None:

@@ -80,6 +80,10 @@ class Goniometric(mi.BSDF):
     record of a campaign with a ``tolerance`` tells: its setting ``campaign`` holds the
     errors at directions that were never used.
 
+    Of a Klems file, and of a record whose light filled all patches of a Klems basis,
+    all directions of an incident patch have the lobe of the patch, which is a mean over
+    them: as in Radiance, nothing is interpolated.
+
     In importance mode :math:`\omega_i` looks to the emitter, and the value is what was
     measured: flux per incident flux, in which nothing is divided by :math:`\eta^2`.
     Sampling is exact up to float32: each sample has the weight of the reflectance (in

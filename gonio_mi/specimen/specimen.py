@@ -12,6 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..array_types import Flags, Floats, Integers
+from ..collector import Subdivision
 from ..errors import SpecimenError, abridged, warn
 from ..kernels import in_memory
 from ..mitsuba_compat import MINIMAL, SURFACE, has_normals, recompute_box
@@ -20,7 +21,7 @@ from .digest import digest
 from .media import media_of
 from .plane import Plane
 from .rays import RETREAT, START, SURFACE_OFFSET, escapes, intersect
-from .scene_objects import holds_foreign_plugins
+from .scene_objects import holds_foreign_plugins, traversed
 from .shapes import (
     bounds,
     encloses_medium,
@@ -189,6 +190,19 @@ class Specimen:
         if len(self.surfaces) > 4:
             parts.append(f"and {len(self.surfaces) - 4} more shapes")
         self.description = "; ".join(parts)
+
+    @cached_property
+    def measured_patches(self) -> tuple[Subdivision | None, ...]:
+        """Patches in which a flat specimen's material was measured itself.
+
+        Lit from the front, and from the back: those that a BSDF declares as `patches`;
+        None of others, and of geometry, whose light is not that of one surface.
+        """
+        for part in traversed(self.plane.bsdf).hierarchy if self.plane else ():
+            front, back = getattr(part, "patches", (None, None))
+            if front is not None:
+                return front, back or front
+        return None, None
 
     @cached_property
     def digest(self) -> str:

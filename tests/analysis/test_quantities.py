@@ -22,7 +22,9 @@ from gonio_mi.analysis.quantities.quantity import _names, definition_of
 from gonio_mi.cli import main
 from gonio_mi.collector import Receptors
 from gonio_mi.collector.directions import direction
+from gonio_mi.collector.klems import Klems
 from gonio_mi.errors import SettingError
+from gonio_mi.exchange.formats import radiance
 
 SCENES = Path(__file__).parents[2] / "scenes"
 ANGLES = {"gloss20": 20, "gloss60": 60, "gloss85": 85}
@@ -806,33 +808,82 @@ def test_commands_take_the_surfaces_that_they_advise(tmp_path, capsys):
     assert main([*words, "--fill", "nearest"]) == 0
 
 
+# ------------------------------------------------------------- patches of the material
+
+
 @pytest.fixture(scope="module")
-def coarse_plastic(tmp_path_factory):
-    """A glossy plastic as a material of 30 x 30 patches."""
-    mi.set_variant("llvm_ad_mono")
-    path = tmp_path_factory.mktemp("coarse") / "plastic.npz"
-    plastic = {"type": "roughplastic", "alpha": 0.1}
-    gonio.measure(plastic, [0, 20, 40, 60, 75], rays=10**5).save(path)
-    return plastic, {"type": "goniometric", "filename": str(path)}
+def plastic(tmp_path_factory):
+    """Records of a rough plastic by their numbers of rings and sectors: materials."""
+    specimen, found = {"type": "roughplastic", "alpha": 0.1}, {}
+    for patches in ("30x30", "90x360"):
+        record = gonio.measure(
+            specimen, (20, 40, 60, 75), collector=f"projected:{patches}", rays=2**20
+        )
+        path = tmp_path_factory.mktemp("plastic") / "plastic.npz"
+        record.save(path)
+        found[patches] = {"type": "goniometric", "filename": str(path)}
+    return found
 
 
-@pytest.mark.needs("materials")
-def test_patches_of_a_material_widen_the_interval(coarse_plastic):
-    """To where the model's own value is; twin: chance alone leaves much less open."""
-    plastic, material = coarse_plastic
-    truth = gonio.quantity("gloss20", plastic, rays=2**18).value
-    found = gonio.quantity("gloss20", material)
+@pytest.fixture(scope="module")
+def right():
+    """Gloss at 20 and 60 degrees of that plastic itself."""
+    specimen = {"type": "roughplastic", "alpha": 0.1}
+    return gonio.quantity(("gloss20", "gloss60"), specimen, rays=2**18)
+
+
+def test_patches_that_do_not_resolve_a_receptor_are_refused(plastic, right):
+    """12.67 for 16.95; twin: in finer ones it is right, within limits that are not."""
+    with pytest.raises(ValueError, match=r"receptor of 4.4 x 11.7 .* of 2.12 x 10.2"):
+        gonio.quantity("gloss60", plastic["30x30"], rays=2**14)
+    found = gonio.quantity("gloss60", plastic["90x360"], rays=2**16)
     low, high = found.interval
-    assert low <= truth <= high
-    assert found.unresolved > 6 * found.std_err
-    assert high - low > 2 * found.unresolved
+    assert low < right[1].value < high
+    assert 0 < found.unresolved < 0.2 * found.value
+    assert high - low >= 2 * found.unresolved
     assert "by the material's patches" in str(found)
+    assert found.to_dict()["unresolved"] == found.unresolved
 
 
-@pytest.mark.needs("materials")
-def test_patches_that_do_not_resolve_the_light_are_refused(coarse_plastic):
-    """Twin: the model itself, which has no patches."""
-    plastic, material = coarse_plastic
-    with pytest.raises(SettingError, match="patches resolve the light about its rec"):
-        gonio.quantity("gloss60", material)
-    assert gonio.quantity("gloss60", plastic, rays=2**14).unresolved == 0
+def test_limits_of_coarse_patches_hold_the_right_value(plastic, right):
+    """Where the lobe is wide enough for them; twin: the standard error is far less."""
+    found = gonio.quantity("gloss20", plastic["30x30"], rays=2**16)
+    assert found.interval[0] < right[0].value < found.interval[1]
+    assert found.unresolved > 2 * found.std_err
+    # no window is cut, and nothing is in patches
+    assert gonio.quantity("8/di", plastic["30x30"], rays=2**12).unresolved == 0
+    assert right[0].unresolved == 0
+
+
+def test_even_light_in_wide_patches_is_known(tmp_path):
+    """And what goes straight on in them is not: openness .1 of a plate is refused."""
+    even, straight = np.full((145, 145), 0.5 / np.pi), np.zeros((145, 145))
+    np.fill_diagonal(straight, 0.1 / Klems().projected_solid_angles)
+    path = tmp_path / "plate.xml"
+    for transmitted in (even, straight):
+        blocks = {("Visible", "Transmission Back"): transmitted}
+        with open(path, "wb") as stream:
+            radiance.write(blocks, stream)
+        asked = {"type": "goniometric", "filename": str(path)}
+        if transmitted is even:
+            haze = gonio.quantity("haze", asked, rays=2**14)
+            expected, (low, high) = np.cos(np.radians(2.5)) ** 2, haze.interval
+            assert low < 100 * expected < high < 1.01 * low
+            assert haze.unresolved <= 1e-4
+            continue
+        for name in ("openness", "haze"):
+            with pytest.raises(ValueError, match=r"receptor of 5 .* patches of 10 deg"):
+                gonio.quantity(name, asked, rays=2**10)
+
+
+@pytest.mark.parametrize("window", [(0, 0, 30), (50, 20, 7), (70, 0, 4.4, 11.7)])
+def test_points_fill_a_window(window):
+    """Second order; with the projected solid angle, and inside."""
+    receptors = Receptors((tuple(map(float, window)),))
+    expected, errors = receptors.projected_solid_angles[0, 0], []
+    for n in (8, 16):
+        wo, weight = receptors.filled(n)
+        assert (receptors.patch(wo) == 0).all()
+        errors.append(abs(weight.sum() / expected - 1))
+    assert errors[1] <= max(errors[0] / 3, 1e-12)
+    assert errors[0] < 1e-2

@@ -18,7 +18,6 @@ from ...collector.receptors import Window
 from ...errors import SettingError
 from ...quadrature.evaluator import IncidentLight
 from ...results.record import Record
-from ...specimen.scene_objects import traversed
 from ...specimen.specimen import Specimen
 from ...specimen.wavelengths import passes, wavelength_lanes
 from ...transport.surface_events import flux_context
@@ -42,19 +41,10 @@ class PatchLimits:
     Parameters
     ----------
     specimen : Specimen
-
-    Attributes
-    ----------
-    patches : pair of Subdivision or None
-        Of the front and the back of the material; none of other materials, and of
-        geometry, whose light is not that of one surface.
     """
 
     def __init__(self, specimen: Specimen) -> None:
-        self.plane = specimen.plane
-        self.patches: tuple[Subdivision | None, ...] = (None, None)
-        for part in traversed(self.plane.bsdf).hierarchy if self.plane else ():
-            self.patches = getattr(part, "patches", self.patches)
+        self.plane, self.patches = specimen.plane, specimen.measured_patches
 
     def unresolved(self, own: Definition, estimate: Floats, record: Record) -> float:
         """By how much a quantity may be wrong for what the patches leave open.
@@ -72,8 +62,7 @@ class PatchLimits:
         SettingError
             If this is more than half of the upper limit, or of a lobe's light.
         """
-        front, back = self.patches
-        patches = back if record.asked.side == "back" and back else front
+        patches = self.patches[int(record.asked.side == "back")]
         if patches is None or own.diffuse:
             return 0.0
         unknown, most = 0.0, float(estimate[3])
