@@ -106,7 +106,6 @@ def set_up(
     sampler = _loaded_sampler(settings)
     specimen = Specimen(scene, settings.period, name)
     _check_specimen(specimen, settings)
-    _warn_of_finer_patches(specimen, settings)
     defects = _defects(specimen, settings)
     collector = _collector(specimen, settings)
     described = described_digest(emitter)
@@ -214,6 +213,7 @@ def _check_specimen(specimen: Specimen, settings: MeasurementSettings) -> None:
                 "a specimen with a medium must be measured by the estimator weighted "
                 f"or analog, got {settings.estimator}"
             )
+    _warn_of_finer_patches(specimen, settings)
 
 
 def _defects(specimen: Specimen, settings: MeasurementSettings) -> tuple[str, ...]:
