@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from .height_maps import unreadable
 
-# How an EXR file begins, and its channel of heights if it has several.
+# How an EXR file begins, and the channels of a layer that come first.
 EXR = b"v/1\x01"
-FIRST = ("R", "X", "Y")
+FIRST = ("R", "G", "B", "X", "Y", "Z")
 
 
 def image_heights(path: Path) -> NDArray[np.generic]:
@@ -27,7 +27,12 @@ def image_heights(path: Path) -> NDArray[np.generic]:
                 return np.array(mi.Bitmap(str(path)))
         with OpenEXR.File(str(path), separate_channels=True) as image:
             channels: dict[str, Any] = image.channels()
-            names = [*filter(channels.__contains__, FIRST), *channels]
-            return np.array(channels[names[0]].pixels)
+            return np.array(channels[min(channels, key=_place)].pixels)
     except (RuntimeError, ValueError) as error:
         raise unreadable(path, error) from None
+
+
+def _place(channel: str) -> tuple[str, int, str]:
+    """Sort key of an EXR file's channels, whose first one Mitsuba takes for the red."""
+    layer, _, name = channel.rpartition(".")
+    return layer, (*FIRST, name).index(name), name
