@@ -24,6 +24,8 @@ import pytest
 
 import gonio_mi as gonio
 from gonio_mi.errors import SpecimenError
+from gonio_mi.instrument.loading import load_plugin_file
+from gonio_mi.validation import pytest_entry
 
 METAL = {"type": "roughconductor", "alpha": 0.3}
 SMALL = {"rays": 2000, "batches": 2, "collector": "projected:3x4"}
@@ -190,6 +192,15 @@ def test_host_is_as_it_was(call, records, tmp_path, plugin):
         before = state()
         CALLS[call](records=records, folder=tmp_path, plugin=plugin)
         assert changed(before) == []
+
+
+def test_a_line_of_pytest_is_a_guest_too(tmp_path, plugin):
+    """Exact: other tests of the user's search modules where they did."""
+    before = state()
+    with pytest_entry._inside(tmp_path):
+        load_plugin_file(plugin)
+        assert changed(before) == ["working folder", "paths of modules"]
+    assert changed(before) == []
 
 
 def test_measuring_in_threads_leaves_the_filters_of_warnings(monkeypatch, tmp_path):
