@@ -21,14 +21,15 @@ _process = os.getpid()
 def thread_count(n: int | None) -> Iterator[None]:
     """Context with `n` threads of Dr.Jit; with those that there are for None or 0.
 
-    A forked process keeps its one.
+    Nothing changes in a forked process, whose threads may be those of its parent.
     """
-    before = dr.thread_count()
-    if not n or n == before or _is_forked():
-        yield
-        return
-    with _changed(before, n):
-        yield
+    with drjit_lock:
+        before = dr.thread_count()
+        if not n or n == before or _is_forked():
+            yield
+            return
+        with _changed(before, n):
+            yield
 
 
 @contextlib.contextmanager
@@ -57,15 +58,14 @@ def _is_forked() -> bool:
 def _changed(before: int, n: int) -> Iterator[None]:
     """Context with `n` threads of Dr.Jit instead of those `before`.
 
-    No other thread records meanwhile: what Dr.Jit has set aside for each of its threads
-    as a sum was recorded would not do for more of them when it is evaluated.
+    No other thread may record meanwhile: what Dr.Jit has set aside for each of its
+    threads as a sum was recorded would not do for more of them when it is evaluated.
     """
-    with drjit_lock:
-        try:
-            _set_thread_count(n)
-            yield
-        finally:
-            _set_thread_count(before)
+    try:
+        _set_thread_count(n)
+        yield
+    finally:
+        _set_thread_count(before)
 
 
 def _set_thread_count(n: int) -> None:

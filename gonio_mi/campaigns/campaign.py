@@ -83,7 +83,7 @@ def campaign(
         Python files that register plugins, to be run in each worker first.
     threads : int, optional
         Threads of each worker, or of this process until the campaign ends. Default: all
-        cores, or for `executor` an int its share. A forked process keeps its one.
+        cores, or for `executor` an int its share. Nothing changes in a forked process.
     retries : int
         How often tasks are sent again whose worker died.
     progress : bool
