@@ -26,7 +26,7 @@ def begin() -> None:
     """
     if needs_mitsuba():
         _check_folder()
-    if not _is_program():
+    if not is_program():
         return
     # its matrices are small here, and threads that wait for them take CPU time
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -36,7 +36,13 @@ def begin() -> None:
 
 def needs_mitsuba() -> bool:
     """Whether anything but the program with a command that only reads is started."""
-    return not _is_program() or command_of(sys.argv[1:]) not in WITHOUT_MITSUBA
+    return not is_program() or command_of(sys.argv[1:]) not in WITHOUT_MITSUBA
+
+
+def is_program() -> bool:
+    """Whether the process is the program ``gonio-mi``."""
+    name = os.path.basename(getattr(sys, "argv", [""])[0])
+    return name.removesuffix(".exe") == PROGRAM
 
 
 def command_of(arguments: Sequence[str]) -> str:
@@ -74,15 +80,9 @@ def _check_folder() -> None:
 
 def _refuse(error: Exception) -> NoReturn:
     """Raise an error; the program ends with its sentence alone."""
-    if _is_program():
+    if is_program():
         sys.exit(f"{PROGRAM}: {error}")
     raise error from None
-
-
-def _is_program() -> bool:
-    """Whether the process is the program ``gonio-mi``."""
-    name = os.path.basename(getattr(sys, "argv", [""])[0])
-    return name.removesuffix(".exe") == PROGRAM
 
 
 def _leave(*_: object) -> None:

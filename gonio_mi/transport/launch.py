@@ -13,7 +13,6 @@ import mitsuba as mi
 from ..kernels import check_variant_kept
 from ..results.provenance import FACETS
 from ..settings.values import UNLIMITED
-from ..threads import park_threads
 from .beam import Beam
 from .exits import Exits, of_order
 from .media_loop import Geometry, trace_inside
@@ -21,10 +20,6 @@ from .sampling import Relay, apart, continues, in_turns, rays_per_lane, seeded, 
 from .setup import Setup
 from .sums import Sums, Totals
 from .surface_loop import PathSettings, scatter_plane, trace
-
-# Threads that are put to sleep after a launch, at most: for 64 that takes longer than a
-# short launch.
-MAX_PARKED = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,9 +116,6 @@ def launch(one: Launch) -> Totals:
             break
         # fainter or brighter light than there was room for: once more, with room for it
         levels = sums.lacking
-    # a GPU's kernels leave them asleep
-    if mi.variant().startswith("llvm") and dr.thread_count() <= MAX_PARKED:
-        park_threads()
     return sums.totals(len(sizes))
 
 
