@@ -25,7 +25,7 @@ def begin() -> None:
     """
     if needs_mitsuba():
         _check_folder()
-    if not _is_program():
+    if not is_program():
         return
     # its matrices are small here, and threads that wait for them take CPU time
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -35,7 +35,13 @@ def begin() -> None:
 
 def needs_mitsuba() -> bool:
     """Whether anything but the program with a command that only reads is started."""
-    return not _is_program() or command_of(sys.argv[1:]) not in WITHOUT_MITSUBA
+    return not is_program() or command_of(sys.argv[1:]) not in WITHOUT_MITSUBA
+
+
+def is_program() -> bool:
+    """Whether the process is the program ``gonio-mi``."""
+    name = os.path.basename(getattr(sys, "argv", [""])[0])
+    return name.removesuffix(".exe") == PROGRAM
 
 
 def command_of(arguments: Sequence[str]) -> str:
@@ -55,15 +61,9 @@ def _check_folder() -> None:
         os.getcwd()
     except FileNotFoundError:
         text = "the working folder was deleted: change to another one"
-        if _is_program():
+        if is_program():
             sys.exit(f"{PROGRAM}: {text}")
         raise FileNotFoundError(text) from None
-
-
-def _is_program() -> bool:
-    """Whether the process is the program ``gonio-mi``."""
-    name = os.path.basename(getattr(sys, "argv", [""])[0])
-    return name.removesuffix(".exe") == PROGRAM
 
 
 def _leave(*_: object) -> None:

@@ -1,46 +1,35 @@
 """How many threads Dr.Jit has, and which of Python's it works for."""
 
 import contextlib
+import ctypes
+import os
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 
 import drjit as dr
-
-from .progress import WATCH
 
 # Dr.Jit records side effects, such as the sums of a tally, in one state for all
 # threads: one at a time records and launches kernels, or changes what they depend on.
 drjit_lock = threading.RLock()
+
+# A process that was forked from this one has none of the threads that Dr.Jit counts.
+_process = os.getpid()
 
 
 @contextlib.contextmanager
 def thread_count(n: int | None) -> Iterator[None]:
     """Context with `n` threads of Dr.Jit; with those that there are for None or 0.
 
-    No other thread records meanwhile: what Dr.Jit has set aside for each of its threads
-    as a sum was recorded would not do for more of them when it is evaluated.
-
-    Dr.Jit 1.5 ends threads with Python's lock held. If one of them builds a plugin in
-    Python for another thread's ``mi.load_file`` just then, both wait for ever.
+    Nothing changes in a forked process, whose threads may be those of its parent.
     """
     with drjit_lock:
         before = dr.thread_count()
-        try:
-            dr.set_thread_count(n or before)
+        if not n or n == before or _is_forked():
             yield
-        finally:
-            dr.set_thread_count(before)
-
-
-def park_threads() -> None:
-    """Let Dr.Jit's threads sleep, unless others of Python's might need them just then.
-
-    Idle ones spin for 20 ms after a kernel; new ones sleep until there is work. To end
-    one and make it anew takes up to 80 microseconds.
-    """
-    if sum(one.name != WATCH for one in threading.enumerate()) == 1:
-        with thread_count(1):
-            pass
+            return
+        with _changed(before, n):
+            yield
 
 
 @contextlib.contextmanager
@@ -48,18 +37,72 @@ def two_threads() -> Iterator[None]:
     """Context in which Dr.Jit has at least two threads.
 
     Mitsuba 3.9.1 reads and writes EXR files in Dr.Jit's threads other than the one that
-    asks for it: where there is none, as on a single core, it waits for ever.
+    asks for it: where there is none, as on a single core or after a fork, it waits for
+    ever.
     """
-    with drjit_lock, thread_count(max(2, dr.thread_count())):
+    with drjit_lock:
+        context: contextlib.AbstractContextManager[None]
+        if _is_forked():
+            context = _helper()
+        elif dr.thread_count() == 1:
+            context = _changed(1, 2)
+        else:
+            context = contextlib.nullcontext()
+        with context:
+            yield
+
+
+def _is_forked() -> bool:
+    """Whether Dr.Jit's threads may be those of another process."""
+    return os.getpid() != _process
+
+
+@contextlib.contextmanager
+def _changed(before: int, n: int) -> Iterator[None]:
+    """Context with `n` threads of Dr.Jit instead of those `before`.
+
+    No other thread may record meanwhile: what Dr.Jit has set aside for each of its
+    threads as a sum was recorded would not do for more of them when it is evaluated.
+    """
+    try:
+        _set_thread_count(n)
         yield
+    finally:
+        _set_thread_count(before)
 
 
-def take_two_threads() -> None:
-    """Let Dr.Jit have two threads from now on, if it has one: see :func:`two_threads`.
+@contextlib.contextmanager
+def _helper() -> Iterator[None]:
+    """Context in which a thread of Python's does what is left to Dr.Jit's.
 
-    For the constructors of plugins, which Mitsuba may call in Dr.Jit's threads: whoever
-    ended one of these would wait for it, with Python's lock, for which it waits. Nor do
-    they wait for the thread that loads them, which may hold `drjit_lock`.
+    It never sleeps: in a forked process Dr.Jit may take a thread of the parent for
+    awake, and wake no other.
     """
-    if dr.thread_count() == 1:
-        dr.set_thread_count(2)
+    library, leave = _nanothread(), ctypes.create_string_buffer(2)
+    is_over = ctypes.cast(ctypes.CDLL(None).strlen, ctypes.c_void_p)  # once not empty
+    how = None, is_over, leave
+    helper = threading.Thread(target=library.pool_work_until, args=how, daemon=True)
+    helper.start()
+    try:
+        yield
+    finally:
+        leave[0] = b"1"
+        helper.join()
+
+
+def _nanothread() -> ctypes.CDLL:
+    """The library whose threads are Dr.Jit's."""
+    (path,) = Path(dr.__file__).parent.glob("*nanothread.[sd][oyl]*")
+    return ctypes.CDLL(str(path))
+
+
+def _set_thread_count(n: int) -> None:
+    """Let Dr.Jit have `n` threads from now on, after what it has recorded is computed.
+
+    ``dr.set_thread_count`` of Dr.Jit 1.5 waits for threads with Python's lock held. One
+    that needs it just then, to build a plugin in Python or to release an image that it
+    has written, would wait for ever, too. What `ctypes` calls does not hold it.
+    """
+    dr.eval()
+    dr.sync_thread()
+    _nanothread().pool_set_size(None, n, 0)

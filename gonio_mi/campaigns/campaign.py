@@ -82,7 +82,8 @@ def campaign(
     plugins : sequence of path
         Python files that register plugins, to be run in each worker first.
     threads : int, optional
-        Threads of each worker. Default: all cores, or for `executor` an int its share.
+        Threads of each worker, or of this process until the campaign ends. Default: all
+        cores, or for `executor` an int its share. Nothing changes in a forked process.
     retries : int
         How often tasks are sent again whose worker died.
     progress : bool

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import atexit
+import ctypes
 import functools
 import threading
+import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ContextDecorator
@@ -15,10 +18,13 @@ from ..errors import LostRaysError, VariantError
 from ..threads import drjit_lock
 from .variants import check_variant, is_parallel_unpolarised
 
-# Variants at the entrances of the contexts that are open, and the last that each thread
-# has set.
-_entered: list[str | None] = []
+# Variants at the entrances of the contexts that are open, with the thread that is in
+# them, and the variant that each thread has set last.
+_entered: list[tuple[str | None, int]] = []
 _own = threading.local()
+
+# Seconds that Python's exit waits at most for the launch of another thread.
+PATIENCE = 30.0
 
 # Flags without which Dr.Jit 1.5 ends the process, and those that only it itself sets.
 NEEDED = ("MergeFunctions",)
@@ -64,7 +70,7 @@ class launches_kernels(ContextDecorator):  # noqa: N801
         except BaseException:
             drjit_lock.release()
             raise
-        _entered.append(mi.variant())
+        _entered.append((mi.variant(), threading.get_ident()))
 
     def __exit__(self, kind: object, error: BaseException | None, _: object) -> None:
         try:
@@ -76,6 +82,7 @@ class launches_kernels(ContextDecorator):  # noqa: N801
                 raise first_cause(error) from None
         finally:
             _entered.pop()
+            dr.sync_thread()  # a process that is forked now would wait for it
             # no variable of this very frame may hold what holds the frame
             del error, _
             drjit_lock.release()
@@ -91,12 +98,27 @@ def in_memory(numbers: Iterable[float]) -> list[mi.Float]:
 
 def check_variant_kept() -> None:
     """Raise VariantError if the variant is no longer that of the entrance."""
-    if _entered and mi.variant() != _entered[-1]:
+    if _entered and mi.variant() != (before := _entered[-1][0]):
         raise VariantError(
-            f"the variant {_entered[-1]} was changed to {mi.variant()} during a "
-            "measurement: all threads of a process share one variant; measure in one "
-            "process for each"
+            f"the variant {before} was changed to {mi.variant()} during a measurement: "
+            "all threads of a process share one variant; measure in one process for "
+            "each"
         )
+
+
+@atexit.register
+def _end_measurements() -> None:
+    """End what another thread measures, before Mitsuba is taken down beneath it.
+
+    Python goes on with daemon threads as it exits: without this Dr.Jit 1.5 aborts the
+    process. Nothing is measured from then on.
+    """
+    told, end = set[int](), time.monotonic() + PATIENCE
+    while not drjit_lock.acquire(timeout=0.01) and time.monotonic() < end:
+        for thread in {one for _, one in _entered} - told:
+            raised = ctypes.py_object(SystemExit)
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), raised)
+            told.add(thread)
 
 
 def orderly(set_variant: Callable[..., None]) -> Callable[..., None]:

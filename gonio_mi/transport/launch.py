@@ -12,7 +12,6 @@ from ..results.provenance import FACETS
 from ..results.tally import Fate
 from ..settings.measurement_settings import BRANCHES
 from ..settings.values import UNLIMITED
-from ..threads import park_threads
 from .beam import Beam
 from .exits import Exits, of_order
 from .kernels import check_variant_kept
@@ -27,10 +26,6 @@ from .surface_loop import PathSettings, scatter_plane, trace
 
 # Tells the random numbers of the branches of a ray from its own.
 BRANCHED = 0x62726E63
-
-# Threads that are put to sleep after a launch, at most: for 64 that takes longer than a
-# short launch.
-MAX_PARKED = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,9 +117,6 @@ def launch(one: Launch) -> Totals:
             break
         # fainter or brighter light than there was room for: once more, with room for it
         setup.levels = sums.lacking
-    # a GPU's kernels leave them asleep
-    if mi.variant().startswith("llvm") and dr.thread_count() <= MAX_PARKED:
-        park_threads()
     return sums.totals(len(sizes))
 
 

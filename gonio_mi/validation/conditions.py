@@ -314,8 +314,9 @@ class Effort:
     few_angles : tuple of float
         Those of the back, of single components, and of radiance mode.
     threads : int, optional
-        Of Dr.Jit. Default: all. Those that few samples leave idle spin for 20 ms after
-        each kernel: half of the CPU time of `quick`.
+        Of Dr.Jit in the command ``gonio-mi validate``. Default: all. Those that few
+        samples leave idle spin for 20 ms after each kernel: half of the CPU time of
+        `quick`. Verdicts are the same for any number.
     """
 
     samples: int

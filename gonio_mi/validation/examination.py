@@ -16,7 +16,6 @@ from ..errors import SettingError, SpecimenError, checked_count, checked_number,
 from ..instrument.loading import load_specimen, loaded
 from ..instrument.specimen_text import SpecimenLike, specimen_name
 from ..progress import bar
-from ..threads import thread_count
 from ..transport.bsdf_trial import PluginFault
 from ..transport.kernels import launches_kernels
 from ..transport.variants import is_parallel, is_polarised
@@ -132,23 +131,22 @@ def validate(
     polarised = questions is OF_MATRICES
     evidence = Evidence(bsdf, seed, questions)
     n_asked = 0
-    with thread_count(plan.threads):
-        try:
-            if polarised:
-                load = None
-                if not isinstance(specimen, mi.Object):
-                    load = lambda: _bsdf(specimen)[0]  # noqa: E731
-                n_asked = examine_polarised(evidence, effort, specimen, load)
-            else:
-                _examine(evidence, plan, name, progress)
-        except PluginFault as fault:
-            _stop(evidence, fault)
-        properties = properties_of(evidence, alpha, allow)
-        failed = _failed(properties)
-        shares = {p.name: p.share for p in properties}
-        guess = likely_mistake(evidence, failed, shares) if failed else None
-        if failed and not (polarised or evidence.of_volumes):
-            _add_maps_of_failure(evidence, plan)
+    try:
+        if polarised:
+            load = None
+            if not isinstance(specimen, mi.Object):
+                load = lambda: _bsdf(specimen)[0]  # noqa: E731
+            n_asked = examine_polarised(evidence, effort, specimen, load)
+        else:
+            _examine(evidence, plan, name, progress)
+    except PluginFault as fault:
+        _stop(evidence, fault)
+    properties = properties_of(evidence, alpha, allow)
+    failed = _failed(properties)
+    shares = {p.name: p.share for p in properties}
+    guess = likely_mistake(evidence, failed, shares) if failed else None
+    if failed and not (polarised or evidence.of_volumes):
+        _add_maps_of_failure(evidence, plan)
     asked = [m.totals.n for m in evidence.maps] + [one.n for one in evidence.samples]
     settings = {"effort": effort, "seed": seed, "alpha": alpha, "allow": list(allow)}
     settings |= {"strict": bool(strict), "variant": mi.variant(), "tints": tints}

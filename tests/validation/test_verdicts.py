@@ -28,7 +28,6 @@ from gonio_mi.validation.checks.sampling import SAMPLING
 from gonio_mi.validation.commands import validate as command
 from gonio_mi.validation.commands.validate import told
 from gonio_mi.validation.conditions import Condition
-from gonio_mi.validation.diagnosis import likely_mistake
 from gonio_mi.validation.evidence import EFFECTS, Breach, Evidence
 from gonio_mi.validation.examination import coloured
 from gonio_mi.validation.questions import OF_MATRICES, OF_SURFACES
@@ -107,38 +106,50 @@ def test_verdict_is_deterministic():
 
 
 @pytest.mark.usefixtures("plugins")
-@pytest.mark.parametrize("name", ["eval_without_pi", "pdf_raises"])
-def test_quick_has_one_thread_and_gives_the_others_back(name, monkeypatch):
-    """Up to the name of the mistake, and where a plugin stops it."""
-    seen = []
-
-    def noted(*arguments):
-        seen.append(dr.thread_count())
-        return likely_mistake(*arguments)
-
-    module = sys.modules["gonio_mi.validation.examination"]
-    monkeypatch.setattr(module, "likely_mistake", noted)
+def test_a_verdict_is_that_of_any_number_of_threads():
+    """Exact; and a script keeps its own."""
     with thread_count(3):
-        validate({"type": name}, effort="quick")
-        assert (seen, dr.thread_count()) == ([1], 3)
+        found = validate({"type": "eval_without_pi"}, effort="quick")
+        assert dr.thread_count() == 3
+    with thread_count(1):
+        again = validate({"type": "eval_without_pi"}, effort="quick")
+    assert again.to_dict() == found.to_dict()
+
+
+@pytest.mark.parametrize(("program", "changes"), [(True, [1]), (False, [])])
+def test_only_the_program_changes_its_threads(program, changes, monkeypatch, capsys):
+    """Idle ones cost half of the time of `quick`."""
+    changed = []
+    verdicts = [judged("mixture", "quick")], {}
+    monkeypatch.setattr(command, "is_program", lambda: program)
+    monkeypatch.setattr(command, "_verdicts", lambda _: verdicts)
+    monkeypatch.setattr(dr, "set_thread_count", changed.append)
+    cli.main(["validate", "mixture", "--effort", "quick"])
+    capsys.readouterr()
+    assert changed == changes
 
 
 @pytest.mark.usefixtures("polarised")
 def test_files_of_textures_are_read_beside_one_thread(tmp_path):
-    """EXR files are read in other threads: where there is none, without end."""
+    """EXR files are read in other threads: where there is none, without end.
+
+    The variants are those of before.
+    """
     path = str(tmp_path / "texture.exr")
     mi.Bitmap(np.full((2, 2, 1), 0.5, np.float32)).write(path)
     code = f"""
-import gonio_mi as gonio, mitsuba as mi
+import gonio_mi as gonio, drjit as dr, mitsuba as mi
+dr.set_thread_count(1)
 for variant in "llvm_ad_mono", "llvm_ad_mono_polarized":
     mi.set_variant(variant)
     texture = {{"type": "bitmap", "filename": {path!r}, "raw": True}}
     bsdf = {{"type": "diffuse", "reflectance": texture}}
-    print(gonio.validate(bsdf, effort="quick").passed)
+    print(gonio.validate(bsdf, effort="quick").passed, end=" ")
+    print(mi.variant() == variant, dr.thread_count())
 """
     words = [sys.executable, "-c", code]
     done = subprocess.run(words, capture_output=True, text=True, timeout=300)
-    assert done.stdout == "True\nTrue\n", done.stderr
+    assert done.stdout == 2 * "True True 1\n", done.stderr
 
 
 @pytest.mark.usefixtures("plugins")

@@ -41,6 +41,7 @@ from ...commands.arguments import (
 from ...commands.parser import Parser
 from ...errors import SettingError, SpecimenError
 from ...instrument.loading import load_plugin_file, load_specimen
+from ...start_up import is_program
 from ..verdict import Verdict
 
 USAGE = "%(prog)s SPECIMEN [options]"
@@ -70,11 +71,17 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
+    import drjit as dr
+
     from .. import check_report, save_report
+    from ..conditions import Effort
     from ..reproducers import save_reproducer
 
     if options.report is not None:
         check_report(options.report)
+    threads = Effort.named(options.effort).threads
+    if threads and is_program():  # a script's threads are its own
+        dr.set_thread_count(threads)
     verdicts, skipped = _verdicts(options)
     # FAILED before UNDECIDED before passed: the user has to know of failures first
     verdict = min(verdicts, key=lambda one: (one.passed, bool(one.undecided)))

@@ -1,6 +1,9 @@
 """What users do around a measurement: threads, Dr.Jit's flags, plugins that raise."""
 
 import gc
+import os
+import subprocess
+import sys
 import threading
 import warnings
 from concurrent.futures import ThreadPoolExecutor
@@ -14,6 +17,7 @@ import pytest
 from specimens import OnGPU
 
 import gonio_mi as gonio
+from gonio_mi import threads
 from gonio_mi.campaigns import tasks
 from gonio_mi.campaigns.measure import measure_whole
 from gonio_mi.cli import main
@@ -21,9 +25,8 @@ from gonio_mi.commands.arguments import INCOMPLETE
 from gonio_mi.errors import LostLightWarning, SpecimenError, VariantError, is_ctrl_c
 from gonio_mi.instrument import launcher
 from gonio_mi.instrument.loading import load_specimen
-from gonio_mi.progress import WATCH
 from gonio_mi.threads import drjit_lock, thread_count, two_threads
-from gonio_mi.transport import launch, sampling
+from gonio_mi.transport import sampling
 from gonio_mi.transport.kernels import check_all_counted, launches_kernels
 from gonio_mi.transport.sampling import rays_per_lane
 
@@ -112,7 +115,7 @@ def test_nobody_records_while_threads_are_more_or_fewer(monkeypatch):
     def looks(_=None):
         seen.append(others_may_record())
 
-    monkeypatch.setattr(dr, "set_thread_count", looks)
+    monkeypatch.setattr(threads, "_set_thread_count", looks)
     with thread_count(dr.thread_count() + 1):
         looks()
     assert seen == [False] * 3
@@ -128,35 +131,37 @@ def test_threads_are_counted_when_nobody_changes_them(monkeypatch):
         return 1
 
     monkeypatch.setattr(dr, "thread_count", counted)
-    monkeypatch.setattr(dr, "set_thread_count", lambda _: None)
+    monkeypatch.setattr(threads, "_set_thread_count", lambda _: None)
     with two_threads():
         assert seen
         assert not any(seen)
 
 
 @pytest.mark.parametrize(
-    ("others", "on", "n", "parked"),
-    [
-        ([], mi, 2, 1),
-        ([WATCH], mi, 8, 1),
-        (["own"], mi, 2, 0),
-        ([], OnGPU(), 2, 0),
-        ([], mi, 64, 0),
-    ],
+    ("count", "forked", "changes"), [(1, 0, [2, 1]), (3, 0, []), (3, 1, [])]
 )
-def test_threads_sleep_once_the_kernel_ran(monkeypatch, others, on, n, parked):
-    """New ones do; those that others of Python's may need are left as they are.
+def test_there_is_a_thread_that_reads_files(count, forked, changes, monkeypatch):
+    """After a fork none of those that Dr.Jit counts is there, and none can be ended."""
+    changed = []
+    monkeypatch.setattr(dr, "thread_count", lambda: count)
+    monkeypatch.setattr(threads, "_process", os.getpid() + forked)
+    monkeypatch.setattr(threads, "_set_thread_count", changed.append)
+    there = threading.active_count()
+    with two_threads():
+        assert threading.active_count() == there + forked
+    assert changed == changes
+    with thread_count(2):
+        pass
+    assert changed == changes + (not forked) * [2, count]
 
-    So are all if a GPU ran it, and many: to end 64 and make them takes 5 ms, as long as
-    a launch.
-    """
-    changes, threads = [], [Thread(name=name) for name in ("this", *others)]
-    monkeypatch.setattr(dr, "thread_count", lambda: n)
-    monkeypatch.setattr(dr, "set_thread_count", changes.append)
-    monkeypatch.setattr(threading, "enumerate", lambda: threads)
-    monkeypatch.setattr(launch, "mi", on)
-    gonio.measure(PLATE, 30, **SMALL)
-    assert changes.count(1) == parked
+
+def test_what_was_recorded_is_computed_before_threads_change():
+    """Exact: sums that wait are those of the threads that there were."""
+    total, index = dr.zeros(mi.UInt32, 1), dr.arange(mi.UInt32, 10**6)
+    dr.scatter_add(total, index, index % 1)
+    with thread_count(dr.thread_count() + 3):
+        pass
+    assert int(total[0]) == 10**6 * (10**6 - 1) // 2 % 2**32
 
 
 def test_a_gpu_has_lanes_enough(monkeypatch):
@@ -171,17 +176,156 @@ def test_a_gpu_has_lanes_enough(monkeypatch):
 
 
 def test_ctrl_c_leaves_as_many_threads_as_there_were(monkeypatch):
-    before, change = dr.thread_count(), dr.set_thread_count
+    before, change = dr.thread_count(), threads._set_thread_count
 
     def interrupted(n):
         change(n)
         if n == 1:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(dr, "set_thread_count", interrupted)
+    monkeypatch.setattr(threads, "_set_thread_count", interrupted)
     with pytest.raises(KeyboardInterrupt), thread_count(1):
         pass
     assert dr.thread_count() == before > 1
+
+
+# ----------------------------------------------------------------- a process of others
+
+# Seconds after which a process is taken to hang, on a machine however busy.
+HANGS = 300
+
+HOST = """
+import _thread, multiprocessing, os, signal, sys, threading, time
+import mitsuba as mi
+import numpy as np
+import gonio_mi as gonio
+
+mi.set_variant("llvm_ad_mono")
+SMALL = {"rays": 2000, "batches": 2, "collector": "angle:2x2"}
+
+def measured(seed=0, bsdf={"type": "roughconductor"}):
+    np.linalg.inv(np.random.rand(300, 300))  # by threads of NumPy's
+    return float(gonio.measure(bsdf, 30, seed=seed, **SMALL).dhr[0])
+
+scene = mi.load_dict({
+    "type": "scene",
+    "plate": {"type": "rectangle", "bsdf": {"type": "diffuse"}},
+    "emitter": {"type": "directional", "direction": [0, 0, -1]},
+    "sensor": {"type": "collector", "film": {"type": "patches"}},
+    "integrator": {"type": "goniophotometer", "rays": 2000},
+})
+expected, shown = measured(), np.array(mi.render(scene))
+"""
+
+# Dr.Jit's threads need Python's lock to release an image that they have written.
+PICTURES = """
+image = mi.TensorXf(np.random.rand(1024, 1024, 3).astype(np.float32))
+for name in ("a.png", "b.exr", "c.jpg"):
+    mi.util.write_bitmap(name, image)
+    assert measured() == expected
+print("measured")
+for i in range(50):
+    mi.util.write_bitmap(f"{i}.exr", mi.render(scene))
+print("rendered")
+mi.util.write_bitmap("d.png", image)
+assert gonio.validate({"type": "diffuse"}, effort="quick").passed
+print("validated")
+mi.util.write_bitmap("e.png", image)
+gonio.campaign({"a": {"type": "diffuse"}}, [10, 20], threads=1, **SMALL)
+print("campaigned")
+"""
+
+FORKS = """
+mi.Bitmap(np.full((4, 4), 0.5, np.float32)).write("half.exr")
+texture = {"type": "bitmap", "filename": "half.exr", "raw": True}
+painted = {"type": "diffuse", "reflectance": texture}
+
+def forked(right):
+    child = os.fork()
+    if not child:
+        os._exit(0 if right() else 1)
+    assert os.waitpid(child, 0)[1] == 0
+
+forked(lambda: measured() == expected)
+print("measured")
+forked(lambda: gonio.validate({"type": "diffuse"}, effort="quick").passed)
+print("validated")
+expected = measured(0, painted)  # EXR files are read in other threads
+forked(lambda: measured(0, painted) == expected)
+print("read")
+forked(lambda: gonio.campaign({"a": painted}, [10, 20], threads=1, **SMALL))
+print("campaigned")
+with multiprocessing.get_context("fork").Pool(2) as pool:
+    assert pool.map(measured, range(4)) == [measured(seed) for seed in range(4)]
+print("pooled")
+"""
+
+# Such threads are those of C and of toolkits, too.
+UNLISTED = """
+def beside_images(job):
+    done, ended = [], _thread.allocate_lock()
+
+    def works():
+        with ended:
+            done.extend(job() for _ in range(20))
+
+    _thread.start_new_thread(works, ())
+    while not done or ended.locked():
+        assert (np.array(mi.render(scene)) == shown).all()
+    return done
+
+assert beside_images(measured) == 20 * [expected]
+print("measured")
+beside_images(lambda: mi.load_dict({"type": "cosinelobe", "exponent": 20.0}))
+print("loaded")
+
+def presses():
+    time.sleep(0.5)
+    os.kill(os.getpid(), signal.SIGINT)
+
+threading.Thread(target=presses).start()
+try:
+    gonio.measure({"type": "roughconductor"}, 30, rays=10**13)
+except KeyboardInterrupt:
+    pass  # or a record of what was measured
+print("interrupted")
+"""
+
+EXIT = """
+def goes_on():
+    while True:
+        measured()
+        if not started.is_set():
+            print("measured", flush=True)
+        started.set()
+
+started = threading.Event()
+threading.Thread(target=goes_on, daemon=True).start()
+started.wait()
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
+@pytest.mark.parametrize(
+    ("script", "steps"),
+    [
+        (PICTURES, "measured rendered validated campaigned"),
+        (FORKS, "measured validated read campaigned pooled"),
+        (UNLISTED, "measured loaded interrupted"),
+        (EXIT, "measured"),
+    ],
+    ids=["pictures", "forks", "unlisted", "exit"],
+)
+def test_a_process_does_what_it_likes(script, steps, tmp_path):
+    """Exact: it neither hangs nor crashes, and its numbers are the same."""
+    command = [sys.executable, "-W", "ignore", "-c", HOST + script]
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=HANGS, cwd=tmp_path
+    )
+    assert (done.returncode, done.stderr, done.stdout.split()) == (0, "", steps.split())
+
+
+# ----------------------------------------------------------------------------- tasks
 
 
 def task_of_plate():

@@ -378,6 +378,7 @@ ways = {"collector": "angle:2x2", "rays": 64, "batches": 2}
 texture = {"type": "bitmap", "filename": sys.argv[1], "raw": True}
 gonio.measure({"type": "diffuse", "reflectance": texture}, 30, **ways)
 plate = {"type": "heightfield", "filename": sys.argv[1], "bsdf": {"type": "diffuse"}}
+mi.load_dict(plate)
 gonio.measure({"type": "scene", "plate": plate}, 30, **ways)
 print(dr.thread_count())
 """
