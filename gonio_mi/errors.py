@@ -1,6 +1,7 @@
 """The errors a caller would act on, and the checks that word them alike."""
 
 import builtins
+import contextlib
 import difflib
 import itertools
 import math
@@ -11,7 +12,8 @@ import sys
 import sysconfig
 import traceback
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, NamedTuple, SupportsIndex, TypeVar
 
@@ -283,8 +285,28 @@ def own_place(error: BaseException) -> str:
     return f" ({os.path.basename(frame.file)}, line {frame.line})" if frame else ""
 
 
+# How warnings begin that are left out, as a regular expression.
+_muted: ContextVar[str | None] = ContextVar("_muted", default=None)
+
+
+@contextlib.contextmanager
+def muted(pattern: str) -> Iterator[None]:
+    """Context without those warnings of this package that begin like a pattern.
+
+    The filters of :mod:`warnings` are the user's, and one for all threads.
+    """
+    before = _muted.set(pattern)
+    try:
+        yield
+    finally:
+        _muted.reset(before)
+
+
 def warn(message: str, category: type[Warning] = RuntimeWarning) -> None:
     """Warn at the line that called this package."""
+    pattern = _muted.get()
+    if pattern is not None and re.match(pattern, message):
+        return
     package = os.path.dirname(__file__) + os.sep
     frame, level, outermost = sys._getframe(1), 2, 2
     while frame.f_back is not None:

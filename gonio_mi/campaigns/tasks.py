@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import copyreg
 import os
 import pickle
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
 from typing import Any
@@ -53,7 +55,8 @@ class Task:
 
     def run(self) -> Record:
         """Measure, in any process: records of the directions, stacked."""
-        with drjit_lock:  # threads of one process share Dr.Jit and the variant
+        # threads of one process share Dr.Jit and the variant
+        with drjit_lock, _path_kept():
             mi.set_variant(self.variant)
             self._load_plugins()
             with thread_count(self.threads):
@@ -65,7 +68,7 @@ class Task:
 
     def digests(self) -> dict[str, str | None]:
         """Digests of the specimen and the emitter as they are now."""
-        with drjit_lock:
+        with drjit_lock, _path_kept():
             self._load_plugins()
             period = MeasurementSettings.among(self.arguments).period
             parameters = self.arguments.get("parameters")
@@ -94,6 +97,16 @@ class Task:
         if isinstance(self.specimen, (str, os.PathLike)):
             return os.path.join(self.directory, self.specimen)
         return self.specimen
+
+
+@contextlib.contextmanager
+def _path_kept() -> Iterator[None]:
+    """Context of plugin files, whose folder Python searches first until the end."""
+    before = sys.path[:]
+    try:
+        yield
+    finally:
+        sys.path[:] = before
 
 
 def run_task(task: Task) -> Record:

@@ -7,6 +7,7 @@ whenever it starts, and this package, with Mitsuba, only when a BSDF is examined
 import contextlib
 import os
 import shlex
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -75,14 +76,15 @@ class Validation(pytest.Item):
 
 @contextlib.contextmanager
 def _inside(folder: Path) -> Iterator[None]:
-    """Work in a folder, and set Mitsuba's variant back at the end."""
+    """Work in a folder; that, Mitsuba's variant and the paths of modules come back."""
     import mitsuba as mi
 
-    before, variant = Path.cwd(), mi.variant()
+    before, variant, paths = Path.cwd(), mi.variant(), sys.path[:]
     os.chdir(folder)
     try:
         yield
     finally:
         os.chdir(before)
+        sys.path[:] = paths
         if variant is not None:
             mi.set_variant(variant)

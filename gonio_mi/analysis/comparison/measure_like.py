@@ -1,8 +1,8 @@
 """A specimen, measured the way that a table or a record was."""
 
 import os
-import warnings
 from collections.abc import Sequence
+from contextlib import nullcontext
 from typing import Any
 
 import mitsuba as mi
@@ -13,7 +13,14 @@ from ...campaigns.measure import measure_whole
 from ...collector.apertures import Apertures, disjoint_groups, is_above
 from ...collector.directions import direction
 from ...collector.hemisphere import Subdivision
-from ...errors import SettingError, SettingTypeError, SpecimenError, VariantError, shown
+from ...errors import (
+    SettingError,
+    SettingTypeError,
+    SpecimenError,
+    VariantError,
+    muted,
+    shown,
+)
 from ...files.measured_table import MeasuredTable
 from ...instrument.specimen_text import SpecimenLike
 from ...progress import counted
@@ -158,10 +165,9 @@ def _like_table(
     asked = {k for k in PRECISION_SETTINGS & settings.keys() if settings[k] is not None}
     if not asked:
         settings |= {"max_rays": MAX_RAYS, "rays": None}
-    with warnings.catch_warnings():
-        if not asked:  # the comparison knows which precision was reached
-            ignored = "(rel_err|noise) of .* was not reached"
-            warnings.filterwarnings("ignore", ignored)
+    # the comparison knows which precision was reached
+    ignored = "(rel_err|noise) of .* was not reached"
+    with nullcontext() if asked else muted(ignored):
         if not isinstance(patches_or_angle, Subdivision):
             ways = [settings | way for way in ([{}] if asked else _ways(table))]
             return _in_apertures(

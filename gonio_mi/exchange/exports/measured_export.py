@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from os import PathLike
 from typing import Any
 
@@ -13,7 +12,7 @@ import numpy as np
 from ...array_types import Floats, Numbers
 from ...collector.directions import direction
 from ...collector.hemisphere import Subdivision
-from ...errors import VariantError, abridged
+from ...errors import VariantError, abridged, muted
 from ...files import replacing, tensor_file
 from ...instrument.loading import loaded
 from ...instrument.measure import measure_each
@@ -83,9 +82,8 @@ def _written(
     if rough.size:
         settings = {"collector": patches, "rays": READ_BACK_RAYS, "wavelengths": nm}
         settings |= {"whole": True, "progress": progress}
-        with warnings.catch_warnings():
-            # flux that Mitsuba's interpolation adds counts as a loss of the file
-            warnings.filterwarnings("ignore", "the BSDF creates light")
+        # flux that Mitsuba's interpolation adds counts as a loss of the file
+        with muted("the BSDF creates light"):
             some = [incidents[i] for i in rough]
             again = measure_each(material, some, **settings)
         flux[rough] = again.flux_fraction[:, :1]
