@@ -82,6 +82,7 @@ class launches_kernels(ContextDecorator):  # noqa: N801
                 raise first_cause(error) from None
         finally:
             _entered.pop()
+            dr.sync_thread()  # a process that is forked now would wait for it
             # no variable of this very frame may hold what holds the frame
             del error, _
             drjit_lock.release()

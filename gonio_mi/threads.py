@@ -41,11 +41,14 @@ def two_threads() -> Iterator[None]:
     ever.
     """
     with drjit_lock:
-        before = dr.thread_count()
-        if before > 1 and not _is_forked():
-            yield
-            return
-        with _changed(before, before + 1):
+        context: contextlib.AbstractContextManager[None]
+        if _is_forked():
+            context = _helper()
+        elif dr.thread_count() == 1:
+            context = _changed(1, 2)
+        else:
+            context = contextlib.nullcontext()
+        with context:
             yield
 
 
@@ -68,6 +71,31 @@ def _changed(before: int, n: int) -> Iterator[None]:
         _set_thread_count(before)
 
 
+@contextlib.contextmanager
+def _helper() -> Iterator[None]:
+    """Context in which a thread of Python's does what is left to Dr.Jit's.
+
+    It never sleeps: in a forked process Dr.Jit may take a thread of the parent for
+    awake, and wake no other.
+    """
+    library, leave = _nanothread(), ctypes.create_string_buffer(2)
+    is_over = ctypes.cast(ctypes.CDLL(None).strlen, ctypes.c_void_p)  # once not empty
+    how = None, is_over, leave
+    helper = threading.Thread(target=library.pool_work_until, args=how, daemon=True)
+    helper.start()
+    try:
+        yield
+    finally:
+        leave[0] = b"1"
+        helper.join()
+
+
+def _nanothread() -> ctypes.CDLL:
+    """The library whose threads are Dr.Jit's."""
+    (path,) = Path(dr.__file__).parent.glob("*nanothread.[sd][oyl]*")
+    return ctypes.CDLL(str(path))
+
+
 def _set_thread_count(n: int) -> None:
     """Let Dr.Jit have `n` threads from now on, after what it has recorded is computed.
 
@@ -77,5 +105,4 @@ def _set_thread_count(n: int) -> None:
     """
     dr.eval()
     dr.sync_thread()
-    (library,) = Path(dr.__file__).parent.glob("*nanothread.[sd][oyl]*")
-    ctypes.CDLL(str(library)).pool_set_size(None, n, 0)
+    _nanothread().pool_set_size(None, n, 0)

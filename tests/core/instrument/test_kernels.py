@@ -4,6 +4,7 @@ import gc
 import os
 import subprocess
 import sys
+import threading
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -137,7 +138,7 @@ def test_threads_are_counted_when_nobody_changes_them(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("count", "forked", "changes"), [(1, 0, [2, 1]), (3, 0, []), (3, 1, [4, 3])]
+    ("count", "forked", "changes"), [(1, 0, [2, 1]), (3, 0, []), (3, 1, [])]
 )
 def test_there_is_a_thread_that_reads_files(count, forked, changes, monkeypatch):
     """After a fork none of those that Dr.Jit counts is there, and none can be ended."""
@@ -145,8 +146,9 @@ def test_there_is_a_thread_that_reads_files(count, forked, changes, monkeypatch)
     monkeypatch.setattr(dr, "thread_count", lambda: count)
     monkeypatch.setattr(threads, "_process", os.getpid() + forked)
     monkeypatch.setattr(threads, "_set_thread_count", changed.append)
+    there = threading.active_count()
     with two_threads():
-        pass
+        assert threading.active_count() == there + forked
     assert changed == changes
     with thread_count(2):
         pass
@@ -285,7 +287,8 @@ threading.Thread(target=presses).start()
 try:
     gonio.measure({"type": "roughconductor"}, 30, rays=10**13)
 except KeyboardInterrupt:
-    print("interrupted")
+    pass  # or a record of what was measured
+print("interrupted")
 """
 
 EXIT = """
