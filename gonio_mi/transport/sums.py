@@ -311,7 +311,8 @@ class Sums:
     ) -> None:
         """Scatter powers to their levels, where there is room."""
         level = digits.level()
-        dr.scatter(self.met, mi.UInt32(1), level, active)
+        # added up: a plain `dr.scatter` first lets all run that was scattered before
+        _scatter_add(self.met, mi.UInt32(1), level, active)
         if self.levels:
             step = mi.UInt32(level - self.levels.start)
             place = (step * self.channels + channel) * self.n_batches + batch

@@ -64,6 +64,7 @@ def within(window, n=60):
 
 
 @pytest.mark.parametrize("index", [1.4, 1.5, 1.6, 1.8])
+@pytest.mark.promise("Gloss, haze")
 def test_gloss_of_smooth_dielectrics(index):
     """100 times their Fresnel ratio to black glass, to 1e-4; twin: 1e-3 more."""
     glass = {"type": "dielectric", "int_ior": index, "ext_ior": 1.0}
@@ -76,6 +77,7 @@ def test_gloss_of_smooth_dielectrics(index):
         disagree(matches(found, 1.001 * expected))
 
 
+@pytest.mark.promise("Gloss, haze")
 def test_gloss_of_a_diffuser_is_the_solid_angle_of_the_receptor():
     """An integral over the receptor's rectangle; twin: 1 % off."""
     white = gonio.quantity(list(ANGLES), WHITE, rays=2**22)
@@ -124,6 +126,7 @@ def test_gloss_and_haze_of_a_rough_mirror():
 # -------------------------------------------------------------------- transmitted light
 
 
+@pytest.mark.promise("Gloss, haze")
 def test_haze_of_a_clear_pane_is_0():
     """No ray leaves the cone; what so few rays may have missed is the upper limit."""
     pane = {"type": "thindielectric"}
@@ -398,12 +401,14 @@ def test_ratio_of_other_light():
 COVERED = {"haze": GLASS, "gloss60": GLASS, "8/de": GLASS, "gloss20": WHITE}
 
 
-@pytest.mark.parametrize("rays", [1000, 16000])
-@pytest.mark.parametrize("name", COVERED)
+@pytest.mark.parametrize(
+    ("name", "rays"), [*((name, 1000) for name in COVERED), ("haze", 16000)]
+)
 def test_intervals_hold(name, rays):
     """At least 95 % of 40 seeds, also where a few rays arrive or none does.
 
-    Twin: limits half as far do not hold, where rays are many.
+    Twin: limits half as far do not hold, where rays are many. Other quantities and
+    numbers of rays: study_of_quantities.py.
     """
     specimen = COVERED[name]
     truth = gonio.quantity(name, specimen, rays=2**24, seed=12345).value
@@ -415,7 +420,7 @@ def test_intervals_hold(name, rays):
     agree(often_enough((ends[:, 0] <= truth) & (truth <= ends[:, 1])))
     values = np.array([found.value for found in runs])
     near = np.array([ends[:, 0] - values, ends[:, 1] - values]) / 4 + values
-    if min(found.hits for found in runs) > 100:
+    if rays == 16000:
         disagree(often_enough((near[0] <= truth) & (truth <= near[1])))
 
 

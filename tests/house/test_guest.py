@@ -21,10 +21,10 @@ import matplotlib as mpl
 import mitsuba as mi
 import numpy as np
 import pytest
-from gonio_mi.instrument.loading import load_plugin_file
 
 import gonio_mi as gonio
 from gonio_mi.errors import SpecimenError
+from gonio_mi.specimen.loading import load_plugin_file
 from gonio_mi.validation import pytest_entry
 
 METAL = {"type": "roughconductor", "alpha": 0.3}

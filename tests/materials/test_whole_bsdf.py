@@ -64,6 +64,7 @@ def halves(interval):
 
 
 @pytest.mark.parametrize("limit", [0.01, 0.001])
+@pytest.mark.promise("chooses the incident directions")
 def test_intervals_are_split_where_a_chord_is_wrong(limit):
     """Of the square root: small intervals next to 0, and a wide one before 1."""
     axis = Axis(halves, errors={Interval(0, 1): None})

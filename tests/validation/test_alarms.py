@@ -1,11 +1,8 @@
-"""Right plugins pass, whatever the seed; with GONIO_SEEDS=200 more of them are tried.
+"""Right plugins pass; study_of_alarms.py tries all of them with many seeds.
 
 All verdicts on one plugin share one share of the suite's budget (see budget.py); the
-twins are the broken plugins of test_validation.py. At the alpha of users, and with all
-p-values: study_of_alarms.py.
+twins are the broken plugins of test_verdicts.py.
 """
-
-import os
 
 import budget
 import drjit as dr
@@ -19,12 +16,9 @@ from gonio_mi.validation import maps, tally, validate
 from gonio_mi.validation.checks import sampled_pdf, sampled_weight, sampling, weights
 from gonio_mi.validation.conditions import Condition, Effort
 from gonio_mi.validation.evidence import Evidence
-from gonio_mi.validation.integrals import integrals
 from gonio_mi.validation.samples import samples_of
 
-SEEDS = int(os.environ.get("GONIO_SEEDS", "1"))
-
-# For a few seeds too many: seconds each, or between others that are like them.
+# Of the study alone: seconds each, or between others that are like them.
 MORE = (
     *("ggx 0.01", "ggx 0.05", "ggx 0.05, all normals", "ggx 0.2", "plastic"),
     *("rough glass 0.01", "rough glass 1", "rough glass of index 1.0001"),
@@ -46,49 +40,29 @@ TAILS = (
 TRIALS = 8
 
 
-@pytest.fixture
-def remembered(monkeypatch):
-    """Integrals do not depend on the seed, but for how far they are refined."""
-    known = {}
-
-    def integral(probe, subdivision, totals, limits):
-        key = probe.condition, limits.tobytes()
-        if key not in known:
-            known[key] = integrals(probe, subdivision, totals, limits)
-        return known[key]
-
-    monkeypatch.setattr(maps, "integrals", integral)
-
-
 def alarms(name, specimen):
-    """What fails for any seed though it is right, as text; nothing if all is well."""
-    alpha = budget.ALPHA / SEEDS
+    """What fails though it is right, as text; nothing if all is well."""
     bsdf = mi.load_dict(specimen)
-    for seed in range(SEEDS):
-        verdict = validate(bsdf, effort="quick", seed=seed, alpha=alpha, strict=True)
-        failed = {one.name for one in verdict.failures}
-        if failed - right_bsdfs.KNOWN.get(name, set()):
-            return f"{name}, seed {seed}\n{verdict}"
-    return ""
+    verdict = validate(bsdf, effort="quick", seed=0, alpha=budget.ALPHA, strict=True)
+    failed = {one.name for one in verdict.failures}
+    return f"{verdict}" if failed - right_bsdfs.KNOWN.get(name, set()) else ""
 
 
-@pytest.mark.usefixtures("remembered")
 @pytest.mark.parametrize(
-    "name", [name for name in right_bsdfs.RIGHT if SEEDS > 1 or name not in MORE]
+    "name", [name for name in right_bsdfs.RIGHT if name not in MORE]
 )
 def test_right_plugins_pass(name):
     assert not alarms(name, right_bsdfs.RIGHT[name])
 
 
-@pytest.mark.usefixtures("remembered")
 def test_right_maps_pass():
     """Textures, maps of heights and normals, and what holds other BSDFs."""
     for name, specimen in right_bsdfs.textured().items():
-        assert (SEEDS == 1 and name in MORE) or not alarms(name, specimen)
+        assert name in MORE or not alarms(name, specimen)
 
 
 @pytest.mark.parametrize(
-    "name", [name for name in right_bsdfs.HEAVY if SEEDS > 1 or name not in TAILS]
+    "name", [name for name in right_bsdfs.HEAVY if name not in TAILS]
 )
 def test_heavy_weights_are_no_fault(name):
     """Whatever their tails, up to an infinite variance."""

@@ -95,6 +95,14 @@ def test_mistake_is_seen_and_its_function_named(name):
 
 
 @pytest.mark.usefixtures("plugins")
+@pytest.mark.promise("names the function that is most likely wrong")
+def test_a_lacking_cosine_is_named():
+    """One of the above, which is quick."""
+    verdict = judged("eval_without_cosine", "quick")
+    assert (verdict.passed, verdict.function) == (False, "eval")
+
+
+@pytest.mark.usefixtures("plugins")
 def test_verdict_is_deterministic():
     first, second = (
         judged("mixture", "quick"),

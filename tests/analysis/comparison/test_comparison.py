@@ -78,6 +78,7 @@ def gloss(seed=1, **settings):
 # ------------------------------------------------------------- measured values, noise
 
 
+@pytest.mark.promise("Measured data")
 def test_right_model_agrees_and_two_percent_do_not():
     record = gloss()
     values, _, _ = truth(record)

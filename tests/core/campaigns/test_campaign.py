@@ -91,6 +91,7 @@ def test_measure_takes_an_executor_and_a_folder(reference, tmp_path):
     assert single.tallies == reference["metal"][4].tallies
 
 
+@pytest.mark.promise("after an interruption")
 def test_what_is_finished_is_not_measured_again(reference, tmp_path, monkeypatch):
     monkeypatch.setattr(tasks, "TASK_RAYS", 1)
     gonio.campaign(SPECIMENS, **ANGLES, **SETTINGS, folder=tmp_path)

@@ -134,6 +134,7 @@ def groove(slope, x0):
 
 @pytest.mark.parametrize("slope", [50, 75])
 @pytest.mark.parametrize("x0", [0, 30])
+@pytest.mark.promise("Surfaces and volumes")
 def test_grooves_lose_nothing(slope, x0, monkeypatch):
     """Exact: all light of a lossless groove leaves it, grazing and far from the origin.
 

@@ -27,7 +27,7 @@ from gonio_mi.instrument import launcher
 from gonio_mi.kernels import check_all_counted, launches_kernels
 from gonio_mi.specimen.loading import load_specimen
 from gonio_mi.threads import drjit_lock, thread_count, two_threads
-from gonio_mi.transport import sampling
+from gonio_mi.transport import sampling, sums
 from gonio_mi.transport.sampling import rays_per_lane
 
 PLATE = {"type": "diffuse", "reflectance": 0.7}
@@ -648,3 +648,27 @@ def test_twin_only_the_name_of_ctrl_c():
     mi.register_bsdf("named_alike", named_alike)
     with pytest.raises(SpecimenError, match='"named_alike": RuntimeError: KeyboardI'):
         gonio.measure({"type": "named_alike"}, 30, **SMALL)
+
+
+# ------------------------------------------------------------------- one kernel each
+
+
+def in_two_kernels(target, value, index, active):
+    """`sums._scatter_add` of what is told by a plain scatter, which evaluates."""
+    if dr.width(target) == sums.LEVELS:
+        dr.scatter(target, value, index, active)
+    else:
+        dr.scatter_reduce(dr.ReduceOp.Add, target, value, index, active)
+
+
+@pytest.mark.parametrize("scatter", [None, in_two_kernels], ids=["right", "twin"])
+def test_a_launch_is_one_kernel(scatter, monkeypatch):
+    """Exact: rays that add to several sums are followed once, and no oftener."""
+    if scatter:
+        monkeypatch.setattr(sums, "_scatter_add", scatter)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        gonio.measure(PLATE, 30, trace=True, estimator="next_event", rays=2**14)
+        history = dr.kernel_history([dr.KernelType.JIT])
+    traced = [one for one in history if one["operation_count"] > 1000]
+    assert (len(traced) == 1) == (scatter is None)

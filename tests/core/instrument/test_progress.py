@@ -1,6 +1,7 @@
 """What long work says of itself where nobody looks at a terminal. All is exact."""
 
 import io
+import math
 import re
 import sys
 import threading
@@ -19,6 +20,9 @@ from gonio_mi.instrument import launcher
 def clock(monkeypatch):
     """A clock that is set by hand, and stands still otherwise."""
     now = [1000.0]
+    # what other tests have left, by the true clock, and what this one leaves to them
+    monkeypatch.setattr(progress._Lines, "alive", -math.inf)
+    monkeypatch.setattr(progress._Lines, "written", -math.inf)
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
     monkeypatch.setattr(progress, "PAUSE", 30.0)
     return now

@@ -221,6 +221,7 @@ def choose(page, menu, number):
     page.wait_for_function("document.body.dataset.drawn")
 
 
+@pytest.mark.promise("an interactive page")
 def test_slider_pointer_and_csv_show_the_record(opened, tmp_path):
     record = synthetic.record(theta_i=(0, 30, 60), phi_i=(20,) * 3, both=True)
     page = opened(record)

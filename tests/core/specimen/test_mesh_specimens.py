@@ -75,6 +75,7 @@ def reference(tmp_path):
         ("text.stl", stl(text=True)),
     ],
 )
+@pytest.mark.promise("a mesh")
 def test_formats_are_one_specimen(tmp_path, reference, name, content):
     """To the bit: the same vertices in single precision."""
     (tmp_path / name).write_bytes(content)

@@ -54,6 +54,7 @@ RAYS = 100_000
         *((65, 3, 1e6), (65, 35, 1e-6), (65, 80, 1.0)),
     ],
 )
+@pytest.mark.promise("a height field")
 def test_mirror_grooves_are_counted_exactly(half_angle, theta_i, scale):
     """Shares of orders and exit directions against rays in two dimensions."""
     shares = groove_shares(half_angle, theta_i)

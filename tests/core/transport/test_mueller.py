@@ -64,6 +64,7 @@ def test_smooth_dielectric_is_fresnel():
     assert np.abs(due[:, 2, 3]).min() > 0.1
 
 
+@pytest.mark.promise("Polarised light")
 def test_plates_are_closed_forms():
     """Polariser, upright and tilted, wave plates and circular polariser."""
     theta = 30.0
@@ -129,6 +130,7 @@ ALONG = np.array([np.cos(np.radians(140)), np.sin(np.radians(140)), 0.0])
     ],
     ids=["crossed planes", "along the horizon"],
 )
+@pytest.mark.promise("Polarised light")
 def test_two_mirrors_are_jones_calculus(place, lower, upper, incidents):
     """Between walls of 45 degrees light flies where Mitsuba's frames jump."""
     scene = {

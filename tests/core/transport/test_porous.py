@@ -73,6 +73,7 @@ def measured(parts, rho, theta_i, phi_i, **settings):
 
 
 @pytest.mark.parametrize("name", SPECIMENS)
+@pytest.mark.promise("a periodic cell")
 def test_direct_light_is_that_of_the_closed_form(name):
     """Counted independent rays: exact binomial."""
     parts, rho, theta_i, phi_i = SPECIMENS[name]

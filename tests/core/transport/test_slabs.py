@@ -88,6 +88,7 @@ def test_van_de_hulst():
 
 
 @pytest.mark.parametrize("theta_i", [0.0, 60.0])
+@pytest.mark.promise("a medium inside")
 def test_half_space(theta_i):
     """Isotropic scattering without a lower end, by Chandrasekhar's H functions."""
     albedo, mu0 = 0.9, np.cos(np.radians(theta_i))

@@ -647,6 +647,7 @@ def covered(specimen, truth, rays, estimator, theta_i):
     ("estimator", "rays"),
     [("analog", 300), ("weighted", 5000), ("weighted", 100_000)],
 )
+@pytest.mark.promise("Reliable error bars")
 def test_intervals_cover(rays, estimator):
     """With few hits a patch, some, and many; and not a power of two of rays.
 

@@ -115,6 +115,7 @@ def test_samples_follow_eval(plugin, make, theta_i, phi_i):
         disagree(verdict(scores(measured, 1.02 * reference[hemisphere], hemisphere)))
 
 
+@pytest.mark.promise("a material for Mitsuba")
 def test_weights_are_eval_over_density(plugin):
     bsdf = plugin(isotropic(both=True))
     ctx = mi.BSDFContext(IMPORTANCE)
