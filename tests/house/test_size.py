@@ -1,7 +1,8 @@
 """A budget of lines of code, which keeps the house as small as its plan.
 
-Whoever needs more raises a number here, in the commit that adds the lines, with the
-reason in its body; `notebooks/how_it_is_built.md` has the table of each version.
+It is looked at when a version is made: until then each room may grow by `SLACK`. Whoever
+needs more raises a number here, in the commit that adds the lines, with the reason in its
+body; `notebooks/how_it_is_built.md` has the table of each version.
 """
 
 import functools
@@ -12,33 +13,39 @@ import lines
 
 # Lines of code: none blank, no comment, no docstring. `python tests/tools/lines.py`.
 BUDGET = {
-    "collector": 905,
-    "settings": 610,
-    "results": 2652,
-    "files": 1468,
-    "surfaces": 720,
-    "plots": 830,
-    "transport": 4092,
-    "quadrature": 770,
-    "instrument": 1704,
-    "campaigns": 625,
+    "collector": 922,
+    "settings": 606,
+    "results": 2711,
+    "files": 1471,
+    "surfaces": 789,
+    "plots": 827,
+    "specimen": 2040,
+    "transport": 2138,
+    "quadrature": 704,
+    "estimators": 957,
+    "instrument": 1062,
+    "campaigns": 634,
     "plugins": 1024,
-    "reports": 245,
-    "commands": 1137,
-    "entrance": 738,
-    "materials": 2625,
-    "exchange": 3745,
-    "analysis": 4333,
-    "validation": 9139,
+    "reports": 241,
+    "commands": 1155,
+    "entrance": 988,
+    "materials": 2685,
+    "exchange": 3808,
+    "analysis": 4576,
+    "validation": 9168,
 }
-CORE, WHOLE = 17488, 37330
+CORE, WHOLE = 18269, 38506
+
+# What a room may have beyond its budget.
+SLACK = 1.03
+
 ROOMS = functools.cache(lines.rooms)
 HANDBOOK = Path(__file__).parents[2] / "notebooks" / "how_it_is_built.md"
 
 
 def over(counts, budget):
     """What exceeds its budget, and rooms that have none."""
-    return {room: n for room, n in counts.items() if n > budget.get(room, 0)}
+    return {room: n for room, n in counts.items() if n > SLACK * budget.get(room, 0)}
 
 
 def test_rooms_are_within_their_budget():
@@ -46,12 +53,11 @@ def test_rooms_are_within_their_budget():
     for room, n in counts.items():
         print(f"{room:12} {n:6} of {BUDGET.get(room, 0)}")
     assert over(counts, BUDGET) == {}
-    assert lines.core(counts) <= CORE
-    assert counts.total() <= WHOLE
+    assert lines.core(counts) <= SLACK * CORE
+    assert counts.total() <= SLACK * WHOLE
 
 
 def test_every_room_has_a_budget_and_the_handbook_the_table():
-    """Rooms cannot all be full: what one takes, another leaves."""
     assert set(BUDGET) == set(ROOMS())
     assert lines.core(BUDGET) >= CORE
     assert sum(BUDGET.values()) >= WHOLE
@@ -61,7 +67,7 @@ def test_every_room_has_a_budget_and_the_handbook_the_table():
 
 def test_twin_a_room_that_grows_is_seen():
     counts = ROOMS()
-    budget = BUDGET | {"transport": counts["transport"] - 1}
+    budget = BUDGET | {"transport": int(counts["transport"] / SLACK) - 1}
     assert over(counts, budget) == {"transport": counts["transport"]}
     assert over(counts | {"attic": 1}, BUDGET) == {"attic": 1}
 
