@@ -61,9 +61,9 @@ class launches_kernels(ContextDecorator):  # noqa: N801
         self._accepts = accepts
 
     def __enter__(self) -> None:
-        check_variant(self._accepts)
         drjit_lock.acquire()
         try:
+            check_variant(self._accepts)
             _check_flags()
             if not _entered:
                 _check_own_variant()
