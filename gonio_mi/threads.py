@@ -34,22 +34,24 @@ def thread_count(n: int | None) -> Iterator[None]:
 
 @contextlib.contextmanager
 def two_threads() -> Iterator[None]:
-    """Context in which Dr.Jit has at least two threads.
-
-    Mitsuba 3.9.1 reads and writes EXR files in Dr.Jit's threads other than the one that
-    asks for it: where there is none, as on a single core or after a fork, it waits for
-    ever.
-    """
+    """Context in which Dr.Jit has at least two threads: see :func:`reads_files`."""
     with drjit_lock:
-        context: contextlib.AbstractContextManager[None]
-        if _is_forked():
-            context = _helper()
-        elif dr.thread_count() == 1:
-            context = _changed(1, 2)
-        else:
-            context = contextlib.nullcontext()
-        with context:
+        alone = dr.thread_count() == 1 and not _is_forked()
+        with _changed(1, 2) if alone else reads_files():
             yield
+
+
+def reads_files() -> contextlib.AbstractContextManager[None]:
+    """Context in which Mitsuba can read and write EXR files, in any thread.
+
+    Mitsuba 3.9.1 does so in Dr.Jit's threads other than the one that asks for it: where
+    there is none, as on a single core or after a fork, it waits for ever.
+
+    For the constructors of plugins, too, which Mitsuba may call in Dr.Jit's threads:
+    nothing waits for the thread that loads them, which may hold `drjit_lock`.
+    """
+    needed = _is_forked() or dr.thread_count() == 1
+    return _helper() if needed else contextlib.nullcontext()
 
 
 def _is_forked() -> bool:

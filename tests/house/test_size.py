@@ -1,8 +1,8 @@
 """A budget of lines of code, which keeps the house as small as its plan.
 
-It is looked at when a version is made: until then each room may grow by `SLACK`. Whoever
-needs more raises a number here, in the commit that adds the lines, with the reason in its
-body; `notebooks/how_it_is_built.md` has the table of each version.
+It is looked at when a version is made: until then each room may grow by `SLACK`.
+Whoever needs more raises a number here, in the commit that adds the lines, with the
+reason in its body; `notebooks/how_it_is_built.md` has the table of each version.
 """
 
 import functools

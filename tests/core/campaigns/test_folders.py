@@ -273,7 +273,7 @@ def test_records_of_an_edited_class_do_not_merge(plugin):
         records.append(gonio.measure({"type": "test_plain"}, 0, **SETTINGS, seed=seed))
     assert records[0].merge(records[1]).ledger.emitted == 400
     with pytest.raises(
-        ValueError, match="must agree in the specimen to be merged, but it was edited"
+        ValueError, match="must agree in the specimen to be merged, but theirs differ"
     ):
         records[0].merge(records[2])
     codes = [one.settings["plugin_digest"] for one in records]

@@ -142,14 +142,17 @@ def test_glass_sends_a_patch_to_one_patch():
         ({"incident": "clems"}, "incident must look like"),
         ({"incident": "apertures:5@0/0"}, "incident must be patches about one pole"),
         ({"incident": "klems", "phi_i": 30}, "phi_i requires theta_i"),
-        ({"incident": "klems", "divergence": 1}, "incident excludes divergence"),
+        (
+            {"incident": "klems", "divergence": 1},
+            "incident and divergence are mutually exclusive",
+        ),
         (
             {"incident": "klems", "theta_i": 0, "estimator": "quadrature"},
             "needs a collimated beam",
         ),
         (
             {"incident": "klems", "emitter": {"type": "constant"}},
-            "incident excludes emitter",
+            "incident and emitter are mutually exclusive",
         ),
     ],
 )

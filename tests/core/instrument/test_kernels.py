@@ -279,6 +279,9 @@ print("measured")
 beside_images(lambda: mi.load_dict({"type": "cosinelobe", "exponent": 20.0}))
 print("loaded")
 
+# what a shell starts in the background ignores it
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
 def presses():
     time.sleep(0.5)
     os.kill(os.getpid(), signal.SIGINT)
