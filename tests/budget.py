@@ -29,6 +29,12 @@ ENOUGH_HITS = 30
 _spent = 0
 
 
+def begin():
+    """Start a session: of several in one process, each has the whole budget."""
+    global _spent
+    _spent = 0
+
+
 def spent():
     """Return how many verdicts have been passed in this session."""
     return _spent

@@ -33,6 +33,7 @@ def pytest_configure(config):
 
     What is named on the command line, a file or a test, is run whether slow or not.
     """
+    budget.begin()
     share_cores(config)
     named = any(".py" in str(word) for word in config.args)
     first = not hasattr(config, "workerinput")
