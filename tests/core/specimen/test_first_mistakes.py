@@ -39,6 +39,10 @@ def warned(specimen, *args, **settings):
         ),
         ({"type": "roughplastic", "alpha": -0.2}, "alpha of the BSDF RoughPlastic is"),
         (
+            {"type": "roughconductor", "alpha": 1e9},
+            "alpha of the BSDF RoughConductor is 1e+09: facets so steep",
+        ),
+        (
             {"type": "principled", "roughness": 1.5},
             "roughness of the BSDF Principled must be from 0 to 1, got 1.5",
         ),
@@ -59,7 +63,7 @@ def test_a_roughness_out_of_range_is_told(bsdf, told):
     "bsdf",
     [
         {"type": "roughconductor", "alpha": 0.0},
-        {"type": "roughconductor", "alpha": 1.2},
+        {"type": "roughconductor", "alpha": 4.0},
         {"type": "roughplastic", "alpha": 0.001},
         {"type": "principled", "roughness": 1.0},
         {
