@@ -192,7 +192,8 @@ def send_all(
                 raise
             complete = False
     for one, tallies, of_it in zip(setups, finished, known):
-        if tallies or not (one.samples or of_it is None):
+        # what nothing is beside is joined where another Ctrl-C costs no rays
+        if of_it is not None and (tallies or not one.samples):
             tallies[:] = [method.finish(one, tallies, of_it)]
     if not any(finished):
         raise KeyboardInterrupt

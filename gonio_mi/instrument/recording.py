@@ -170,7 +170,7 @@ def warn_of_interruption(setups: Sequence[Setup], record: Record) -> None:
     integrates = setups[0].method.integrates
     if integrates or Target.of(settings):
         kept = f"{len(record)} of {n_incident} incident directions"
-        kept += "" if integrates else ", some of them less precise"
+        kept += ", some of them less precise" if setups[0].samples else ""
     else:
         asked = settings.rays * n_incident * len(setups[0].passes)
         kept = f"{record.ledger.emitted} of {asked} rays; resume= continues it"

@@ -116,5 +116,5 @@ class Method:
         return found
 
     def finish(self, setup: Any, tallies: Sequence[Tally], known: Any) -> Tally:  # noqa: ARG002
-        """Tally of a setup, of those of its rays and what `begin` knew of it."""
+        """Tally of a setup, of those of its rays and what `begin` knew, if anything."""
         return Tally.join(tallies)

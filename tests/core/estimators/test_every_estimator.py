@@ -88,3 +88,14 @@ def test_one_more_is_one_class(monkeypatch):
     record = measured("weighted")
     agree(of_total(record, diffuse_groove_dhr(HALF_ANGLE, THETA, 0.8)))
     assert record.dhr_std_err > plain.dhr_std_err
+
+
+def test_ctrl_c_while_rays_are_joined_costs_none(monkeypatch):
+    """Exact: what nothing is beside is not finished outside of what hears it."""
+
+    class Pressed(Method):
+        def finish(self, *_):
+            raise KeyboardInterrupt
+
+    monkeypatch.setitem(METHODS, Estimator.WEIGHTED, Pressed())
+    assert measured("weighted", rays=2**10).ledger.emitted == 2**10
