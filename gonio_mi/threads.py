@@ -55,7 +55,7 @@ def reads_files() -> contextlib.AbstractContextManager[None]:
 
 
 def _is_forked() -> bool:
-    """Whether Dr.Jit's threads may be those of another process."""
+    """Whether this process was forked from the one that has Dr.Jit's threads."""
     return os.getpid() != _process
 
 

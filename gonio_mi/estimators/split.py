@@ -151,7 +151,7 @@ class Split(Method):
         sums.deposit(bins, exits.throughput / BRANCHES, collected, batch)
 
     def tallies(self, totals: Totals, n: int) -> list[Tally]:
-        """Side by side those of light of more events, and of one."""
+        """Pairs of tallies: of light of several events, and of one event."""
         return totals.tallies_by_class(n)
 
     def finish(

@@ -1,6 +1,6 @@
 """The estimator `weighted`: rays take the weights of `sample` to where they leave.
 
-It applies to whatever can be measured: the interface itself.
+It applies to every specimen and is the interface's own behaviour.
 """
 
 from ..transport.method import Method

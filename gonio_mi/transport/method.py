@@ -73,7 +73,7 @@ class Method:
         return True
 
     def begin(self, setups: Sequence[Any], progress: bool) -> Sequence[Any]:  # noqa: ARG002
-        """What is known of each of the setups before rays; None where nothing is."""
+        """Light of each setup that needs no rays; None where there is none."""
         return [None] * len(setups)
 
     def control(self, setup: Any, wavelengths: Any) -> Any:  # noqa: ARG002
@@ -90,7 +90,7 @@ class Method:
     # ---------------------------------------------------------------------- each ray
 
     def cost(self, setup: Any) -> float:  # noqa: ARG002
-        """CPU time of a ray over that of one that is only followed, about."""
+        """Approximate CPU time of a ray, relative to a ray without deposits."""
         return 1.0
 
     def order(self, settings: MeasurementSettings) -> Order:
