@@ -15,7 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import SpecimenError
-from ..results.estimates import MIN_EVEN_HITS, SampledEstimates
+from ..results.estimates import MIN_EVEN_HITS, Estimates
 from ..results.planning import lobe
 from ..results.tally import Tally
 from ..settings.measurement_settings import MAX_POINTS, Estimator, MeasurementSettings
@@ -161,12 +161,12 @@ def _hides_bright_places(
 
     Or one of them, by chance met or not, is more than the error of `weighted`.
     """
-    rays = SampledEstimates(sent, independent=False)
+    rays = Estimates(sent)
     part = deposits.rays / rays.rays
     hemispheres = range(len(sent.hits))
     if any(np.any(rays.n_heavy(i) * part < MIN_EVEN_HITS) for i in hemispheres):
         return True
-    scatter = [np.nansum(rays.noise(i)) for i in hemispheres]
+    scatter = [np.nansum(rays.patches(i).noise) for i in hemispheres]
     return 1 / deposits.rays > sum(scatter) * np.sqrt(rays.rays / settings.rays)
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from ..array_types import Floats
 from ..errors import LABEL, SpecimenError, abridged
 from ..mitsuba_compat import PARTIALS
-from ..results.estimates import MIN_EVEN_HITS, SampledEstimates
+from ..results.estimates import MIN_EVEN_HITS, Estimates
 from ..results.statistics import student_interval, student_score
 from ..results.tally import Fate, Tally
 from ..settings.measurement_settings import BRANCHES
@@ -125,7 +125,7 @@ class SingleScattering:
 
         Or where they found light of one event (`first`) that points exclude.
         """
-        rays, n_batches = SampledEstimates(first, independent=False), len(self.flux)
+        rays, n_batches = Estimates(first), len(self.flux)
         n_points = n_batches * self.n_points
         if np.any(rays.n_heavy(0) * n_points < MIN_EVEN_HITS * rays.rays):
             raise SpecimenError(
@@ -139,7 +139,7 @@ class SingleScattering:
         std_err = each.std(axis=0, ddof=1) / np.sqrt(n_batches)
         value = each.mean(axis=0)
         low, high = student_interval(value, std_err, n_batches, AGREEMENT)
-        least, most = rays.interval(0, AGREEMENT)
+        least, most = rays.patches(0).interval(AGREEMENT)
         if np.any((least > high) | (most < low)):
             raise SpecimenError(
                 "the estimator split needs points that tell what rays find, but light "

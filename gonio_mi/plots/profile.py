@@ -94,7 +94,7 @@ def cut_profile(
 
     Those of each channel, or one of all, ``(n_theta, n_phi, 1)``.
     """
-    dark = single.estimates[0].dark(int(of == "btdf"))
+    dark = single.estimates[0].patches(int(of == "btdf")).dark
     if value.shape[-1] == 1:
         dark = np.all(dark, axis=-1, keepdims=True)
     arrays = value, low, high, dark

@@ -72,7 +72,9 @@ def _stated_error(record: Record) -> float:
     """Half the sum of what flux fractions are wrong by on average."""
     (one,) = record.estimates
     hemispheres = range(record.n_hemispheres)
-    return float(sum(np.nansum(one.noise(number)) for number in hemispheres) / 2)
+    return float(
+        sum(np.nansum(one.patches(number).noise) for number in hemispheres) / 2
+    )
 
 
 def _cross_fitted(tally: Tally, predicted: Floats) -> Floats:

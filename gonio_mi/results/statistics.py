@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import special
 
-from ..array_types import Counts, Floats, Numbers
+from ..array_types import Floats, Integers, Numbers
 
 # A probability below counts as that, so that no score is infinite.
 MIN_PROBABILITY = 1e-300
@@ -74,7 +74,7 @@ def effective_batches(incident: Numbers) -> Floats:
     return np.asarray(1 + alike * (n - 1) / n)
 
 
-def heavy_hits(sums: Numbers, incident: Numbers, hits: Counts) -> Floats:
+def heavy_hits(sums: Numbers, incident: Numbers, hits: Integers) -> Floats:
     """Weight of the hits that make sums scatter between batches, and their share.
 
     A sum of independent hits has the cumulants ``n E[w**2]`` and ``n E[w**3]``. What

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,13 +17,14 @@ from ..settings import MeasurementSettings
 from ..single_precision import ROUNDING
 from . import statistics
 from .estimates import (
-    ControlledEstimates,
+    ControlledEstimate,
+    Estimate,
     Estimates,
-    IntegralEstimates,
-    SampledEstimates,
-    SplitEstimates,
+    IntegralEstimate,
+    SampledEstimate,
+    SplitEstimate,
 )
-from .mueller import MuellerEstimates, checked_stokes
+from .mueller import MuellerEstimate, MuellerEstimates, checked_stokes
 from .provenance import FACETS, Provenance
 from .tally import Integrals, Ledger, PolarisedTally, Tally, holds_integrals
 
@@ -51,7 +53,7 @@ class MeasuredValues:
     @cached_property
     def brdf(self) -> Floats:
         """Patch mean of the BRDF in 1/sr, shape ``(n_theta, n_phi, channels)``."""
-        return self._per_patch(lambda one: one.fraction(0))
+        return self._value("brdf")
 
     @cached_property
     def btdf(self) -> Floats | None:
@@ -59,7 +61,7 @@ class MeasuredValues:
 
         There is none where the specimen declares that it cannot transmit.
         """
-        return self._per_patch(lambda one: one.fraction(1)) if self.has_lower else None
+        return self._value("btdf") if self.has_lower else None
 
     @cached_property
     def brdf_std_err(self) -> Floats:
@@ -70,17 +72,17 @@ class MeasuredValues:
         heavy hits as are among its own on average over all patches. For integrals their
         estimated error, with that of the delta components.
         """
-        return self._per_patch(lambda one: one.std_err(0))
+        return self._std_err("brdf")
 
     @cached_property
     def btdf_std_err(self) -> Floats | None:
         """Standard error of `btdf`, as of `brdf`."""
-        return self._per_patch(lambda one: one.std_err(1)) if self.has_lower else None
+        return self._std_err("btdf") if self.has_lower else None
 
     @cached_property
     def dhr(self) -> Floats:
         """Directional-hemispherical reflectance, shape ``(channels,)``."""
-        return self._stacked(lambda one: one.total(0))
+        return self._value("dhr")
 
     @cached_property
     def dht(self) -> Floats | None:
@@ -88,7 +90,7 @@ class MeasuredValues:
 
         Of a periodic specimen it includes the light that passes openings, `direct`.
         """
-        return self._stacked(lambda one: one.total(1)) if self.has_lower else None
+        return self._value("dht") if self.has_lower else None
 
     @cached_property
     def direct(self) -> Floats:
@@ -98,24 +100,22 @@ class MeasuredValues:
         mean. 0 for a finite specimen, beside which light is ``missed``, and where the
         `order` that was collected is not 0 or ``all``.
         """
-        return self._stacked(lambda one: one.direct)
+        return self._value("direct")
 
     @cached_property
     def direct_std_err(self) -> Floats:
-        """Standard error of `direct` from the batches; NaN for a single batch."""
-        return self._stacked(lambda one: one.direct_std_err)
+        """Standard error of `direct`, as of `brdf`; NaN for a single batch."""
+        return self._std_err("direct")
 
     @cached_property
     def dhr_std_err(self) -> Floats:
-        """Standard error of `dhr` from the batches; NaN for a single batch."""
-        return self._stacked(lambda one: one.total_std_err(0))
+        """Standard error of `dhr`, as of `brdf`; NaN for a single batch."""
+        return self._std_err("dhr")
 
     @cached_property
     def dht_std_err(self) -> Floats | None:
-        """Standard error of `dht` from the batches; NaN for a single batch."""
-        if not self.has_lower:
-            return None
-        return self._stacked(lambda one: one.total_std_err(1))
+        """Standard error of `dht`, as of `brdf`; NaN for a single batch."""
+        return self._std_err("dht") if self.has_lower else None
 
     @property
     def polarised(self) -> bool:
@@ -133,22 +133,22 @@ class MeasuredValues:
         from s to p, V > 0 for a field that turns clockwise in the eye of whoever looks
         towards the source. Along the z axis s is along y.
         """
-        return self._matrices(lambda one: one.fraction(0))
+        return self._matrix(self._value, "brdf")
 
     @cached_property
     def btdf_mueller(self) -> Floats | None:
         """Patch mean of the Mueller matrix of the BTDF, like `brdf_mueller`."""
-        return self._matrices(lambda one: one.fraction(1), lower=True)
+        return self._matrix(self._value, "btdf")
 
     @cached_property
     def brdf_mueller_std_err(self) -> Floats | None:
         """Standard error of the elements of `brdf_mueller`; NaN as of `brdf`."""
-        return self._matrices(lambda one: one.std_err(0))
+        return self._matrix(self._std_err, "brdf")
 
     @cached_property
     def btdf_mueller_std_err(self) -> Floats | None:
         """Standard error of the elements of `btdf_mueller`."""
-        return self._matrices(lambda one: one.std_err(1), lower=True)
+        return self._matrix(self._std_err, "btdf")
 
     @cached_property
     def dhr_mueller(self) -> Floats | None:
@@ -156,22 +156,22 @@ class MeasuredValues:
 
         Each in the frame of the direction in which it leaves, as of `brdf_mueller`.
         """
-        return self._total_matrices(lambda one: one.total(0))
+        return self._matrix(self._value, "dhr")
 
     @cached_property
     def dht_mueller(self) -> Floats | None:
         """Sum of the Mueller matrices of all transmitted flux, like `dhr_mueller`."""
-        return self._total_matrices(lambda one: one.total(1), lower=True)
+        return self._matrix(self._value, "dht")
 
     @cached_property
     def dhr_mueller_std_err(self) -> Floats | None:
         """Standard error of the elements of `dhr_mueller` from the batches."""
-        return self._total_matrices(lambda one: one.total_std_err(0))
+        return self._matrix(self._std_err, "dhr")
 
     @cached_property
     def dht_mueller_std_err(self) -> Floats | None:
         """Standard error of the elements of `dht_mueller` from the batches."""
-        return self._total_matrices(lambda one: one.total_std_err(1), lower=True)
+        return self._matrix(self._std_err, "dht")
 
     def stokes(self, incident: ArrayLike, of: str = "brdf") -> tuple[Floats, Floats]:
         """Stokes vectors of the light that leaves, and their standard errors.
@@ -195,9 +195,8 @@ class MeasuredValues:
             If `incident` is no light, for another `of`, or without Mueller matrices or
             lower hemisphere.
         """
-        total = of in TOTALS
-        solid = 1.0 if total else self._projected[..., None]
-        return self._of_stokes("stokes", incident, of, total, solid=solid)
+        solid = 1.0 if of in TOTALS else self._projected[..., None]
+        return self._of_stokes(incident, of, lambda one, s: one.stokes(s), solid)
 
     def normalised_stokes(
         self, incident: ArrayLike, of: str = "brdf"
@@ -209,7 +208,7 @@ class MeasuredValues:
         ``(n_theta, n_phi, channels, 3)``, of totals ``(channels, 3)``; NaN without
         light.
         """
-        return self._of_stokes("normalised_stokes", incident, of, of in TOTALS)
+        return self._of_stokes(incident, of, lambda one, s: one.normalised_stokes(s))
 
     def degree(self, incident: ArrayLike, of: str = "brdf") -> tuple[Floats, Floats]:
         """Degrees of polarisation of the light that leaves, and their standard errors.
@@ -219,7 +218,7 @@ class MeasuredValues:
         light, and errors for fewer hits than Student's t needs (:meth:`interval`).
         Noise makes a degree near 0 larger, by about its error.
         """
-        return self._of_stokes("degree", incident, of, of in TOTALS)
+        return self._of_stokes(incident, of, lambda one, s: one.degree(s))
 
     def degree_interval(
         self, incident: ArrayLike, level: float = 0.95, of: str = "brdf"
@@ -231,7 +230,9 @@ class MeasuredValues:
         """
         level = checked_number("level", level, 1e-12, 1, "between 0 and 1")
         checked_choice("of", of, ("brdf", "btdf"))
-        return self._of_stokes("degree_interval", incident, of, level)
+        return self._of_stokes(
+            incident, of, lambda one, s: one.degree_interval(s, level)
+        )
 
     @property
     def flux_fraction(self) -> Floats:
@@ -284,7 +285,7 @@ class MeasuredValues:
         interval take their weight from all patches; in some channel at least.
         """
         hemispheres = range(self.n_hemispheres)
-        flags = [[one.pooled(i) for i in hemispheres] for one in self.estimates]
+        flags = [[one.patches(i).pooled for i in hemispheres] for one in self.estimates]
         return read_only_array(self._squeeze(np.any(flags, axis=-1)))
 
     @property
@@ -378,80 +379,77 @@ class MeasuredValues:
         level = checked_number("level", level, 1e-12, 1, "between 0 and 1")
         matrices = tuple(f"{name}_mueller" for name in QUANTITIES)
         checked_choice("of", of, (*QUANTITIES, "direct", *matrices))
-        if of == "direct":
-            return self._both([one.direct_interval(level) for one in self.estimates])
-        estimates: tuple[Estimates | MuellerEstimates, ...] = self.estimates
-        solid, quantity = self._projected, of.removesuffix("_mueller")
+        quantity = of.removesuffix("_mueller")
         if of in matrices:
-            hemisphere = self._polarised_hemisphere(quantity)
-            estimates, solid = self._mueller, solid[..., None, None]
-        else:
-            hemisphere = self._hemisphere(quantity)
-        if quantity in TOTALS:
-            return self._both(
-                [one.total_interval(hemisphere, level) for one in estimates]
-            )
-        return self._both([one.interval(hemisphere, level) for one in estimates], solid)
+            self._check_polarised()
+        self._hemisphere(quantity)
+        pairs = [one.interval(level) for one in self._each(of)]
+        return self._both(pairs, self._solid(of))
 
     # ------------------------------------------------------------------ internals
 
-    @cached_property
-    def _mueller(self) -> tuple[MuellerEstimates, ...]:
-        """Estimates of Mueller matrices of each incident direction."""
-        pairs = zip(self.tallies, self.estimates)
-        return tuple(
-            MuellerEstimates(tally, light)
-            for tally, light in pairs
-            if isinstance(tally, PolarisedTally) and isinstance(light, SampledEstimates)
-        )
+    def _each(self, of: str) -> list[Any]:
+        """Estimate of a quantity or its matrix, of each incident direction."""
+        quantity = of.removesuffix("_mueller")
+        known: Any = self.estimates
+        if quantity != of:
+            pairs: Any = zip(self.tallies, self.estimates)
+            known = [MuellerEstimates(tally, light) for tally, light in pairs]
+        if of == "direct":
+            return [one.direct for one in known]
+        hemisphere = self._hemisphere(quantity)
+        if quantity in TOTALS:
+            return [one.total(hemisphere) for one in known]
+        return [one.patches(hemisphere) for one in known]
 
-    def _matrices(
-        self, quantity: Callable[[MuellerEstimates], Floats], lower: bool = False
-    ) -> Floats | None:
-        """A quantity of the matrices of patches over solid angles, if there is one."""
-        found = self._total_matrices(quantity, lower)
-        if found is None:
-            return None
-        return read_only_array(found / self._projected[..., None, None])
+    def _solid(self, of: str) -> Floats | float:
+        """Projected solid angles by which a quantity of patches is divided, or 1."""
+        quantity = of.removesuffix("_mueller")
+        if quantity not in QUANTITIES or quantity in TOTALS:
+            return 1.0
+        return self._projected if quantity == of else self._projected[..., None, None]
 
-    def _total_matrices(
-        self, quantity: Callable[[MuellerEstimates], Floats], lower: bool = False
-    ) -> Floats | None:
-        """A quantity of the matrices of each incident direction, if there are some."""
+    def _value(self, of: str) -> Floats:
+        """Value of a quantity, read-only; patches of chance below 0 are 0 on facets."""
+        each = np.stack([one.value for one in self._each(of)])
+        if of in ("brdf", "btdf") and self.provenance.transport == FACETS:
+            each = np.maximum(each, 0.0)
+        return read_only_array(self._squeeze(each) / self._solid(of))
+
+    def _std_err(self, of: str) -> Floats:
+        """Standard error of a quantity, read-only."""
+        each = np.stack([one.std_err for one in self._each(of)])
+        return read_only_array(self._squeeze(each) / self._solid(of))
+
+    def _matrix(self, what: Callable[[str], Floats], of: str) -> Floats | None:
+        """A property of the Mueller matrices of a quantity, if there are some."""
+        lower = of in ("btdf", "dht")
         if not self.polarised or (lower and not self.has_lower):
             return None
-        each = np.stack([quantity(one) for one in self._mueller])
-        return read_only_array(self._squeeze(each))
+        return what(f"{of}_mueller")
 
     def _of_stokes(
         self,
-        name: str,
         incident: ArrayLike,
         of: str,
-        *more: float,
+        pair: Callable[[MuellerEstimate, Floats], tuple[Floats, Floats]],
         solid: Floats | float = 1.0,
     ) -> tuple[Floats, Floats]:
-        """Pairs that a method of :class:`MuellerEstimates` returns for Stokes vectors.
-
-        Parameters
-        ----------
-        name : str
-            Of the method, which takes a hemisphere, the vector and `more`.
-        """
+        """Pairs that Mueller matrices of a quantity return for Stokes vectors."""
         vector = checked_stokes(incident)
         checked_choice("of", of, QUANTITIES)
-        where = self._polarised_hemisphere(of), vector, *more
-        return self._both([getattr(one, name)(*where) for one in self._mueller], solid)
+        self._check_polarised()
+        each = self._each(f"{of}_mueller")
+        return self._both([pair(one, vector) for one in each], solid)
 
-    def _polarised_hemisphere(self, of: str) -> int:
-        """Hemisphere of a quantity, once there are matrices of it."""
+    def _check_polarised(self) -> None:
+        """Raise SettingError unless there are Mueller matrices."""
         if not self.polarised:
             raise SettingError(
                 "Mueller matrices need a polarised variant, such as "
                 "llvm_ad_mono_polarized, got a record of "
                 f"{self.provenance.variant or 'another one'}"
             )
-        return self._hemisphere(of)
 
     def _hemisphere(self, of: str) -> int:
         """Hemisphere of a quantity, which the record must have."""
@@ -466,32 +464,25 @@ class MeasuredValues:
 
     def _estimates(self, tally: Tally, theta_i: float) -> Estimates:
         """Estimates of one incident direction, by the kind of its tally."""
-        passes = self.provenance.passes
+        kind: Callable[..., Estimate] = SampledEstimate
+        rounding = ROUNDING
         if isinstance(tally, Integrals):
-            return IntegralEstimates(tally, passes=passes)
-        kind: Callable[..., Estimates] = SampledEstimates
-        if self.asked.joins_points:
-            kind = SplitEstimates
+            kind = IntegralEstimate
+        elif self.asked.joins_points:
+            kind = SplitEstimate
         elif self.provenance.transport == FACETS:
+            kind = ControlledEstimate
             # a line falls by the cosine of its way: so much further off it passes what
             # begins at a rounded height
             rounding = ROUNDING / float(np.cos(np.radians(theta_i)))
-            kind = partial(ControlledEstimates, rounding=rounding)
-        return kind(
+        return Estimates(
             tally,
+            kind,
             independent=self.provenance.sampler == "independent",
             deposited=self.asked.sends_points,
-            passes=passes,
+            passes=self.provenance.passes,
+            rounding=rounding,
         )
-
-    def _per_patch(self, quantity: Callable[[Estimates], Floats]) -> Floats:
-        """A quantity of the estimates over solid angles, read-only."""
-        return read_only_array(self._stacked(quantity) / self._projected)
-
-    def _stacked(self, quantity: Callable[[Estimates], Floats]) -> Floats:
-        """A quantity of the estimates of each incident direction, read-only."""
-        each = np.stack([quantity(one) for one in self.estimates])
-        return read_only_array(self._squeeze(each))
 
     def _both(
         self, pairs: Sequence[tuple[Floats, Floats]], solid: Floats | float = 1.0

@@ -4,18 +4,16 @@ Patches of one run are correlated, which the scatter of sums knows.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...array_types import Floats, Numbers
+from ...array_types import Floats
 from ...errors import SettingError
 from ...results import statistics
-from ...results.estimates import MIN_EVEN_HITS, Estimates
+from ...results.estimates import MIN_EVEN_HITS, Estimate, Estimates, summed
 from ...results.record import Record
-from ...results.tally import Fate, Integrals, Tally, without_chance
+from ...results.tally import without_chance
 
 # Of all intervals.
 LEVEL = 0.95
@@ -64,42 +62,40 @@ def ratio(record: Record, weights: Floats, over: Floats | None = None) -> Floats
             found = part / (1 - np.minimum(part, 1.0))
         found[1] = part[1] / (1 - part[0]) ** 2
         return np.asarray(found)
-    one = _reduced(record.estimates[0], weights, over)
-    value, std_err = one.fraction(0).ravel(), one.std_err(0).ravel()
-    if value < 0:  # which no flux is
-        std_err = _reduced(record.estimates[0], -weights, over).std_err(0).ravel()
+    estimates = record.estimates[0]
+    one = estimates.weighted(weights, over)
+    value, std_err = one.value, one.std_err
     if np.all(weights >= 0):
-        low, high = map(np.ravel, one.interval(0, LEVEL))
-        high = np.fmax(high, _of_unlike_passes(record, weights, one))
+        low, high = one.interval(LEVEL)
+        high = np.fmax(high, _of_unlike_passes(estimates, weights, one))
         if over is not None:
             low, high = _widened(record, weights, over - weights, low, high)
         # no flux is negative, and no part more than the whole
         limits = np.clip([low, high], 0.0, np.inf if over is None else 1.0)
-        return np.concatenate([value, std_err, *limits])
+        return np.concatenate([np.maximum(value, 0.0), std_err, *limits])
     signs = (np.maximum(sign * weights, 0) for sign in (1, -1))
     _, _, low, high = difference(*(ratio(record, part, over) for part in signs))
     # limits of correlated sums, and no nearer than where rays are few
-    ends = statistics.student_interval(value, std_err, one.n_batches, LEVEL)
+    ends = statistics.student_interval(value, std_err, estimates.n_batches, LEVEL)
     return np.concatenate(
         [value, std_err, np.fmin(ends[0], low), np.fmax(ends[1], high)]
     )
 
 
-def _of_unlike_passes(record: Record, weights: Floats, one: Estimates) -> Floats:
+def _of_unlike_passes(estimates: Estimates, weights: Floats, one: Estimate) -> Floats:
     """Upper limit where few hits may all be of wavelengths that count little.
 
     Passes share their hits, and one more may count as much as the mean one of each
     pass together: more than that of the pass that counts most. NaN where it is not
     needed, or nothing was hit.
     """
-    tally, n = record.estimates[0].tally, one.passes
+    tally, n = estimates.tally, estimates.passes
     many = tally.hits[weights > 0].sum() >= n * MIN_EVEN_HITS
     if n == 1 or many or not tally.hits.any():
         return np.full(1, np.nan)
-    flux = _summed(tally.sums, np.full(weights.shape, weights.max())).sum()
-    missed = flux * n / tally.hits.sum() / one.tally.incident.sum()
-    ends = statistics.gamma_interval(one.fraction(0), one.std_err(0), missed, LEVEL)
-    return np.ravel(ends[1])
+    flux = summed(tally.sums, np.full(weights.shape, weights.max())).sum()
+    missed = flux * n / tally.hits.sum() / one.incident.sum()
+    return statistics.gamma_interval(one.value, one.std_err, missed, LEVEL)[1]
 
 
 def _widened(
@@ -153,7 +149,7 @@ def covariance(record: Record, weights: ArrayLike) -> Floats:
     """
     rows, found = checked_weights(record, weights), []
     for tally in record.tallies:
-        sums = np.einsum("khrc,bhrcs->bsk", rows, tally.sums.astype(float))
+        sums = np.stack([summed(tally.sums, row) for row in rows], axis=-1)
         came = tally.incident[..., None].astype(float)
         residual = (sums - statistics.ratio(sums, came) * came) / came.sum(axis=0)
         n = len(sums)
@@ -172,31 +168,3 @@ def checked_weights(record: Record, weights: ArrayLike) -> Floats:
             f"got the shape {rows.shape}"
         )
     return rows
-
-
-def _reduced(estimates: Estimates, weights: Floats, over: Floats | None) -> Estimates:
-    """Estimates of one patch that receives the weighted flux of all patches."""
-    tally = estimates.tally
-    names = ("direct", "fates", "incident", "scale")
-    changes: dict[str, Any] = {name: getattr(tally, name) for name in names}
-    changes["hits"] = tally.hits[weights != 0].sum(dtype=np.uint64).reshape(1, 1, 1)
-    sums = _summed(tally.sums, weights)
-    changes["sums"] = sums[:, None, None, None]
-    if over is not None:
-        changes["incident"] = _summed(tally.sums, over)
-        if not getattr(estimates, "deposited", False):
-            # to the light that is divided by, its own rays are all there are
-            changes["fates"] = fates = np.zeros_like(tally.fates)
-            fates[0, Fate.REFLECTED] = tally.hits[over > 0].sum()
-    if isinstance(tally, Integrals):
-        spread = np.abs(weights)
-        if over is not None:
-            spread = spread + over * statistics.ratio(sums, changes["incident"]).item()
-        changes["errors"] = _summed(tally.errors[None], spread)[None, None]
-    kind = Integrals if isinstance(tally, Integrals) else Tally
-    return replace(estimates, tally=kind(**changes))
-
-
-def _summed(sums: Numbers, weights: Floats) -> Floats:
-    """Weighted sum over patches, per batch and channel."""
-    return np.asarray(np.einsum("hrc,bhrcs->bs", weights, sums.astype(float)))

@@ -17,12 +17,12 @@ from scipy import special
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
 from gonio_mi.quadrature import integrate
-from gonio_mi.results.estimates import SampledEstimates
+from gonio_mi.results.estimates import SampledEstimate
 from gonio_mi.results.statistics import batch_std_err, binomial_interval
 
 SEEDS = 24
 
-NONE = np.zeros((2, 1))  # weight and share of heavy hits
+NONE = np.zeros(1, bool)  # patches are judged by their own hits alone
 
 
 # Lobes of which a part is drawn below the horizon: one ray in 9000, 700 and 50.
@@ -171,7 +171,7 @@ def test_rare_bright_spots_are_covered(name, rays):
         for heavy, found in ((True, parts), (False, twins)):
             with pytest.MonkeyPatch.context() as patch:
                 if not heavy:
-                    patch.setattr(SampledEstimates, "_heavy", lambda *_: NONE)
+                    patch.setattr(SampledEstimate, "pooled", NONE)
                 low, high = record.interval(LEVEL)
             found.append(((low <= truth) & (truth <= high)).mean())
     agree(often_enough(parts))
@@ -190,7 +190,7 @@ def test_standard_errors_know_of_spots_that_a_patch_missed():
         record = gonio.measure(specimen, **case.settings, rays=30_000, seed=seed)
         (estimates,) = record.estimates
         solid = record.subdivision.projected_solid_angles[..., None]
-        own = estimates._scatter(0) / solid
+        own = estimates.patches(0).scatter / solid
         for std_err, found in ((record.brdf_std_err, parts), (own, twins)):
             known = std_err > 0
             score = (record.brdf - truth)[known] / std_err[known]
@@ -241,9 +241,9 @@ def test_heavy_weights_of_some_directions_are_not_of_others(tmp_path):
         off = (record.brdf - truth) * grid.projected_solid_angles[..., None]
         (one,) = record.estimates
         hits = one.hits[0][..., None]
-        square = np.mean((one.std_err(0) ** 2 / hits)[hits > 0])
+        square = np.mean((one.patches(0).std_err ** 2 / hits)[hits > 0])
         for scores, least in ((right, 0), (wrong, np.sqrt(square * hits))):
-            std_err = np.fmax(one.std_err(0), least)[inside]
+            std_err = np.fmax(one.patches(0).std_err, least)[inside]
             scores += normal_scores(off[inside] / std_err, 15).tolist()
     agree(verdict(right))
     disagree(verdict(wrong))
@@ -269,7 +269,7 @@ def test_plain_specimens_pay_nothing(monkeypatch, bsdf, sampler):
     for _ in range(2):
         low, high = record.interval(LEVEL)
         widths.append(high - low)
-        monkeypatch.setattr(SampledEstimates, "_heavy", lambda *_: NONE)
+        monkeypatch.setattr(SampledEstimate, "pooled", NONE)
     assert np.mean(widths[0] / widths[1]) < 1.05
     assert widths[0].sum() < 1.05 * widths[1].sum()
     if bsdf["type"] == "diffuse":

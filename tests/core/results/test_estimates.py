@@ -13,10 +13,10 @@ from gonio_mi.results.estimates import (
     MIN_DEPOSITS,
     MIN_EVEN_HITS,
     MIN_HITS,
-    ControlledEstimates,
-    IntegralEstimates,
-    SampledEstimates,
-    SplitEstimates,
+    ControlledEstimate,
+    Estimates,
+    IntegralEstimate,
+    SplitEstimate,
 )
 from gonio_mi.results.tally import WEIGHT_SCALE, Fate, Integrals, Tally
 
@@ -50,24 +50,24 @@ def close(found, expected):
 def student(estimates, patch):
     """Interval by Student's t of one patch, with what no hit leaves open; from 0 on."""
     sums = estimates.tally.sums[:, 0, 0, patch]
-    weight = estimates.fraction(0)[0, patch] * 2 * RAYS / sum(HITS[patch])
+    weight = estimates.patches(0).value[0, patch] * 2 * RAYS / sum(HITS[patch])
     unseen = statistics.upper_limit(2 * RAYS, LEVEL) * weight
     std_err = statistics.batch_std_err(sums, estimates.tally.incident)
-    value = estimates.fraction(0)[0, patch]
+    value = estimates.patches(0).value[0, patch]
     ends = statistics.student_interval(value, std_err, 2, LEVEL, unseen, unseen)
     return np.maximum(ends, 0.0)
 
 
 def test_values_and_standard_errors():
-    estimates = SampledEstimates(tally(), independent=True)
+    estimates = Estimates(tally(), independent=True)
     hits = np.array(HITS)
-    close(estimates.fraction(0)[0, :, 0], hits.sum(axis=1) * 0.5 / (2 * RAYS))
+    close(estimates.patches(0).value[0, :, 0], hits.sum(axis=1) * 0.5 / (2 * RAYS))
     scatter = np.abs(np.diff(hits))[:, 0] / 2 * 0.5 / RAYS  # of two batches
-    close(estimates.std_err(0)[0, :4, 0], scatter[:4])
-    assert np.isnan(estimates.std_err(0)[0, 4, 0])
+    close(estimates.patches(0).std_err[0, :4, 0], scatter[:4])
+    assert np.isnan(estimates.patches(0).std_err[0, 4, 0])
     totals = hits.sum(axis=0)
-    close(estimates.total(0)[0], totals.sum() * 0.5 / (2 * RAYS))
-    close(estimates.total_std_err(0)[0], abs(np.diff(totals)[0]) / 2 * 0.5 / RAYS)
+    close(estimates.total(0).value[0], totals.sum() * 0.5 / (2 * RAYS))
+    close(estimates.total(0).std_err[0], abs(np.diff(totals)[0]) / 2 * 0.5 / RAYS)
 
 
 @pytest.mark.parametrize(("independent", "by_student"), [(True, 1), (False, 3)])
@@ -78,14 +78,14 @@ def test_few_hits_have_exact_intervals(independent, by_student):
     """
     assert sum(HITS[0]) > MIN_HITS > sum(HITS[1])
     assert sum(HITS[2]) > MIN_EVEN_HITS > sum(HITS[3])
-    estimates = SampledEstimates(tally(), independent)
-    low, high = (limit[0, :, 0] for limit in estimates.interval(0, LEVEL))
+    estimates = Estimates(tally(), independent=independent)
+    low, high = (limit[0, :, 0] for limit in estimates.patches(0).interval(LEVEL))
     for patch, hits in enumerate(HITS[:4]):
         expected = np.ravel(student(estimates, patch))
         exact = statistics.binomial_interval(sum(hits), 2 * RAYS, LEVEL)
         exact = np.multiply(exact, 0.5)
-        value = estimates.fraction(0)[0, patch, 0]
-        std_err = estimates.std_err(0)[0, patch, 0]
+        value = estimates.patches(0).value[0, patch, 0]
+        std_err = estimates.patches(0).std_err[0, patch, 0]
         missed = max(0.5 / (2 * RAYS), std_err**2 / value)
         unlike = statistics.gamma_interval(value, std_err, missed, LEVEL)
         exact = min(exact[0], unlike[0]), max(exact[1], unlike[1])
@@ -100,12 +100,15 @@ def test_few_hits_of_unlike_power_may_miss_one_of_another_patch():
     uniform = tally()
     uneven = replace(uniform, incident=uniform.incident + np.uint64(1))
     for each, pooled in ((uneven, True), (uniform, False)):
-        one = SampledEstimates(each, independent=False)
-        value, std_err = one.fraction(0)[0, :4, 0], one.std_err(0)[0, :4, 0]
+        one = Estimates(each, independent=False)
+        value, std_err = (
+            one.patches(0).value[0, :4, 0],
+            one.patches(0).std_err[0, :4, 0],
+        )
         squares = std_err**2 / value
         missed = max(squares) if pooled else max(squares[3], 0.5 / (2 * RAYS))
         assert max(squares) > 1.1 * max(squares[3], 0.5 / (2 * RAYS))
-        high = one.interval(0, LEVEL)[1][0, 3, 0]
+        high = one.patches(0).interval(LEVEL)[1][0, 3, 0]
         alike = 0.5 * statistics.binomial_interval(sum(HITS[3]), 2 * RAYS, LEVEL)[1]
         other = statistics.gamma_interval(value[3], std_err[3], missed, LEVEL)[1]
         assert (other > alike) == pooled
@@ -115,14 +118,14 @@ def test_few_hits_of_unlike_power_may_miss_one_of_another_patch():
 def test_few_deposits_have_the_limits_of_weighted_counts():
     """At least: where Student's t of the two batches is wider, it stays."""
     hits = (*HITS, (150, 151))
-    estimates = SampledEstimates(tally(hits), independent=False, deposited=True)
+    estimates = Estimates(tally(hits), independent=False, deposited=True)
     assert max(map(sum, HITS)) < MIN_DEPOSITS < sum(hits[5])
-    low, high = (limit[0, :, 0] for limit in estimates.interval(0, LEVEL))
+    low, high = (limit[0, :, 0] for limit in estimates.patches(0).interval(LEVEL))
     wider = set()
     for patch in range(4):
         wide = np.ravel(student(estimates, patch))
-        value = estimates.fraction(0)[0, patch, 0]
-        std_err = estimates.std_err(0)[0, patch, 0]
+        value = estimates.patches(0).value[0, patch, 0]
+        std_err = estimates.patches(0).std_err[0, patch, 0]
         exact = statistics.gamma_interval(value, std_err, 1 / (2 * RAYS), LEVEL)
         close(low[patch], min(wide[0], exact[0]))
         close(high[patch], max(wide[1], exact[1]))
@@ -140,8 +143,8 @@ def test_a_total_of_deposits_leaves_bright_rays_open(missing):
     each = tally([(RAYS // 2, RAYS // 2), (RAYS // 2, RAYS // 2 - missing)], 0.25)
     unseen = statistics.upper_limit(2 * RAYS, LEVEL)
     for deposited in (True, False):
-        one = SampledEstimates(each, independent=False, deposited=deposited)
-        (value,), (_, (high,)) = one.total(0), one.total_interval(0, LEVEL)
+        one = Estimates(each, independent=False, deposited=deposited)
+        (value,), (_, (high,)) = one.total(0).value, one.total(0).interval(LEVEL)
         bright = high - value > unseen * 0.74
         assert bright == (deposited or not missing)
 
@@ -155,9 +158,9 @@ def test_points_that_send_most_of_a_patch_are_counted():
         counts = rng.poisson(met / 16, (16, 11)) / 128
         sums = counts[:, None, None, :, None] * each.incident[0, 0]
         hits = np.full(each.hits.shape, 2048, np.uint64)
-        one = SplitEstimates(replace(each, hits=hits, sums=sums), independent=False)
-        kinds = SplitEstimates, ControlledEstimates
-        limits = [np.ravel(kind.interval(one, 0, 0.95)) for kind in kinds]
+        one = Estimates(replace(each, hits=hits, sums=sums), SplitEstimate)
+        kinds = SplitEstimate, ControlledEstimate
+        limits = [np.ravel(kind.interval(one.patches(0), 0.95)) for kind in kinds]
         found = np.reshape(limits, (2, 2, 11))
         held.append((found[:, 0] <= met / 2048) & (met / 2048 <= found[:, 1]))
     agree(often_enough([np.mean(each[0]) for each in held]))
@@ -170,35 +173,37 @@ def test_rounding_of_lines_is_in_what_rays_correct():
     """Exact: the total is off by as much to either side, and so is its error."""
     off, found = 0.5, []
     for rounding in (0.0, off):
-        one = ControlledEstimates(tally(), independent=False, rounding=rounding)
-        found.append((one.total_std_err(0), *one.total_interval(0, LEVEL)))
+        one = Estimates(
+            tally(), ControlledEstimate, independent=False, rounding=rounding
+        )
+        found.append((one.total(0).std_err, *one.total(0).interval(LEVEL)))
     (before, low, _), (std_err, below, above) = found
-    close(std_err, np.hypot(before, off * one.total(0)))
-    close([below, above], one.total(0) * np.array([[1 - off], [1 + off]]))
+    close(std_err, np.hypot(before, off * one.total(0).value))
+    close([below, above], one.total(0).value * np.array([[1 - off], [1 + off]]))
     assert low > below
 
 
 def test_an_empty_patch_may_be_of_the_largest_weight():
-    estimates = SampledEstimates(tally(weight=4.0), independent=True)
-    _, high = estimates.interval(0, LEVEL)
+    estimates = Estimates(tally(weight=4.0), independent=True)
+    _, high = estimates.patches(0).interval(LEVEL)
     close(high[0, 4, 0], 4 * statistics.upper_limit(2 * RAYS, LEVEL))
 
 
 def test_equal_batches_leave_what_no_hit_leaves_open():
     """The second patch got 40 hits of each batch, which is no proof of no error."""
-    even = SampledEstimates(tally(), independent=False)
-    assert even.std_err(0)[0, 1, 0] == 0
-    low, high = (limit[0, 1, 0] for limit in even.interval(0, LEVEL))
+    even = Estimates(tally(), independent=False)
+    assert even.patches(0).std_err[0, 1, 0] == 0
+    low, high = (limit[0, 1, 0] for limit in even.patches(0).interval(LEVEL))
     limit = statistics.upper_limit(2 * RAYS, LEVEL) * 0.5
     close((low, high), np.array([-limit, limit]) + 40 * 0.5 / RAYS)
-    total = SampledEstimates(tally([(40, 40)]), independent=False)
-    np.testing.assert_array_equal(np.ravel(total.total_interval(0, LEVEL)), (low, high))
+    total = Estimates(tally([(40, 40)]), independent=False)
+    np.testing.assert_array_equal(np.ravel(total.total(0).interval(LEVEL)), (low, high))
 
 
 def test_nothing_received_has_an_upper_limit():
-    dark = SampledEstimates(tally([(0, 0), (0, 0)]), independent=False)
+    dark = Estimates(tally([(0, 0), (0, 0)]), independent=False)
     limit = statistics.upper_limit(2 * RAYS, LEVEL)
-    for low, high in (dark.interval(0, LEVEL), dark.total_interval(0, LEVEL)):
+    for low, high in (dark.patches(0).interval(LEVEL), dark.total(0).interval(LEVEL)):
         assert not low.any()
         close(high, limit)
 
@@ -213,32 +218,32 @@ def test_a_channel_that_no_hit_carried_has_an_upper_limit(deposited):
         "incident": np.repeat(one.incident, 2, axis=-1),
     }
     alone, beside = (
-        SampledEstimates(each, independent=True, deposited=deposited)
+        Estimates(each, independent=True, deposited=deposited)
         for each in (one, replace(one, **both))
     )
-    for of in ("interval", "total_interval"):
-        expected = getattr(alone, of)(0, LEVEL)
-        low, high = getattr(beside, of)(0, LEVEL)
+    for of in ("patches", "total"):
+        expected = getattr(alone, of)(0).interval(LEVEL)
+        low, high = getattr(beside, of)(0).interval(LEVEL)
         np.testing.assert_array_equal(
             (low[..., 0], high[..., 0]), np.array(expected)[..., 0]
         )
         assert not low[..., 1].any()
         close(high[..., 1], statistics.upper_limit(2 * RAYS, LEVEL))
-    assert np.isnan(beside.std_err(0)[..., 1]).all()
+    assert np.isnan(beside.patches(0).std_err[..., 1]).all()
     dark = np.zeros((1, len(HITS), 2), bool)
     dark[..., 1] = dark[:, -1] = True
-    np.testing.assert_array_equal(beside.dark(0), dark)
+    np.testing.assert_array_equal(beside.patches(0).dark, dark)
 
 
 @pytest.mark.parametrize("weight", [1.0, 0.5, 2.0])
 def test_all_rays_in_one_patch_may_hide_others(weight):
     """Some may be lost, or carry more than these, but no more than came."""
-    one = SampledEstimates(tally([(RAYS, RAYS)], weight=weight), independent=False)
-    assert one.std_err(0) == one.total_std_err(0) == 0
+    one = Estimates(tally([(RAYS, RAYS)], weight=weight), independent=False)
+    assert one.patches(0).std_err == one.total(0).std_err == 0
     unseen = statistics.upper_limit(2 * RAYS, LEVEL)
     limits = weight - unseen * weight, weight + unseen * max(1 - weight, 0)
-    close(np.ravel(one.interval(0, LEVEL)), limits)
-    close(np.ravel(one.total_interval(0, LEVEL)), limits)
+    close(np.ravel(one.patches(0).interval(LEVEL)), limits)
+    close(np.ravel(one.total(0).interval(LEVEL)), limits)
 
 
 @pytest.mark.parametrize("weight", [0.3, 0.9, 1.0])
@@ -248,12 +253,12 @@ def test_no_number_of_rays_tells_more_than_single_precision(weight):
     unit = np.uint64(float(np.float32(weight)) * RAYS * 10**6 * WEIGHT_SCALE)
     many = {name: getattr(few, name) * n for name in ("hits", "incident", "fates")}
     many = replace(few, sums=np.full_like(few.sums, unit), **many)
-    one = SampledEstimates(many, independent=False)
-    for low, high in (one.interval(0, LEVEL), one.total_interval(0, LEVEL)):
+    one = Estimates(many, independent=False)
+    for low, high in (one.patches(0).interval(LEVEL), one.total(0).interval(LEVEL)):
         assert low <= weight <= high
         # as wide as what a table shows in place of a standard error below it; all
         # rays with their whole weight can only be lost
-        value = one.fraction(0).item()
+        value = one.patches(0).value.item()
         above = value if weight == 1 else value * (1 + 2.0**-24)
         close(np.ravel((low, high)), (value * (1 - 2.0**-24), above))
 
@@ -262,28 +267,31 @@ def test_no_number_of_rays_tells_more_than_single_precision(weight):
 def test_rays_that_missed_are_not_incident(row):
     beside = tally()
     beside.fates[:, row] = 500
-    estimates = SampledEstimates(beside, independent=True)
+    estimates = Estimates(beside, independent=True)
     assert estimates.rays == 2 * RAYS
-    whole = SampledEstimates(tally(), independent=True)
+    whole = Estimates(tally(), independent=True)
     np.testing.assert_array_equal(
-        estimates.interval(0, LEVEL), whole.interval(0, LEVEL)
+        estimates.patches(0).interval(LEVEL), whole.patches(0).interval(LEVEL)
     )
 
 
 @pytest.mark.parametrize(
-    ("hits", "interval"),
-    [(HITS, SampledEstimates.interval), ([(40, 40)], SampledEstimates.total_interval)],
+    ("hits", "of"), [(HITS, Estimates.patches), ([(40, 40)], Estimates.total)]
 )
-def test_passes_of_the_same_rays_count_once(hits, interval):
+def test_passes_of_the_same_rays_count_once(hits, of):
     """Twice the hits and rays of two passes tell no more than those of one."""
     once = tally(hits)
     twice = replace(once, hits=once.hits * 2, fates=once.fates * np.uint64(2))
-    one, two = SampledEstimates(once, True), SampledEstimates(twice, True, passes=2)
+    one, two = (
+        Estimates(once, independent=True),
+        Estimates(twice, independent=True, passes=2),
+    )
     assert two.rays == one.rays
     np.testing.assert_array_equal(two.hits, one.hits)
-    np.testing.assert_array_equal(interval(two, 0, LEVEL), interval(one, 0, LEVEL))
-    twin = interval(SampledEstimates(twice, True), 0, LEVEL)
-    assert not np.array_equal(twin, interval(one, 0, LEVEL))
+    expected = of(one, 0).interval(LEVEL)
+    np.testing.assert_array_equal(of(two, 0).interval(LEVEL), expected)
+    twin = of(Estimates(twice, independent=True), 0).interval(LEVEL)
+    assert not np.array_equal(twin, expected)
 
 
 def test_a_patch_that_one_pass_alone_hits_was_hit():
@@ -293,12 +301,12 @@ def test_a_patch_that_one_pass_alone_hits_was_hit():
     hits[0, 0, :2] = 1, 0
     sums = one.sums.copy()
     sums[:, 0, 0, 1] = 0
-    odd = SampledEstimates(replace(one, hits=hits, sums=sums), True, passes=2)
+    odd = Estimates(replace(one, hits=hits, sums=sums), passes=2)
     assert odd.hits[0, 0, :2].tolist() == [1, 0]
-    low, high = odd.interval(0, LEVEL)
+    low, high = odd.patches(0).interval(LEVEL)
     assert np.isfinite(high).all()
-    assert (low <= odd.fraction(0)).all()
-    assert (odd.fraction(0) <= high).all()
+    assert (low <= odd.patches(0).value).all()
+    assert (odd.patches(0).value <= high).all()
 
 
 def test_counted_rays_are_binomial():
@@ -307,12 +315,12 @@ def test_counted_rays_are_binomial():
     assert estimates.binomial
     (one,) = record.tallies
     rays = one.ledger.emitted
-    low, high = estimates.interval(0, LEVEL)
+    low, high = estimates.patches(0).interval(LEVEL)
     exact = statistics.binomial_interval(one.hits[0][..., None], rays, LEVEL)
     np.testing.assert_array_equal((low, high), exact)
     n = one.hits.sum()
     np.testing.assert_array_equal(
-        np.ravel(estimates.total_interval(0, LEVEL)),
+        np.ravel(estimates.total(0).interval(LEVEL)),
         statistics.binomial_interval(n, rays, LEVEL),
     )
     for other in (
@@ -321,8 +329,8 @@ def test_counted_rays_are_binomial():
         replace(one, hits=one.hits + np.uint64(1)),
         one.spread(3),
     ):
-        assert not SampledEstimates(other, independent=True).binomial
-    assert not SampledEstimates(one, independent=False).binomial
+        assert not Estimates(other, independent=True).binomial
+    assert not Estimates(one, independent=False).binomial
 
 
 def integrals(sums=(0, 0), error=1e-3):
@@ -333,19 +341,19 @@ def integrals(sums=(0, 0), error=1e-3):
 
 
 def test_integrals_are_wrong_by_their_error():
-    estimates = IntegralEstimates(integrals())
+    estimates = Estimates(integrals(), IntegralEstimate)
     # the fixed point is 2**-62 of the flux of all batches, about; errors round up
     step = 2.0**-50
-    low, high = estimates.interval(0, LEVEL)
+    low, high = estimates.patches(0).interval(LEVEL)
     np.testing.assert_allclose(low, 0.25 - 1e-3, rtol=0, atol=step)
     np.testing.assert_allclose(high, 0.25 + 1e-3, rtol=0, atol=step)
-    np.testing.assert_allclose(estimates.std_err(0), 1e-3, rtol=0, atol=step)
-    assert np.all(estimates.std_err(0) >= 1e-3)
+    np.testing.assert_allclose(estimates.patches(0).std_err, 1e-3, rtol=0, atol=step)
+    assert np.all(estimates.patches(0).std_err >= 1e-3)
     # those of a total add up as if none cancelled
     np.testing.assert_allclose(
-        np.ravel(estimates.total_interval(0, LEVEL)), (0.498, 0.502), atol=step
+        np.ravel(estimates.total(0).interval(LEVEL)), (0.498, 0.502), atol=step
     )
-    np.testing.assert_allclose(estimates.total_std_err(0), 2e-3, rtol=0, atol=step)
+    np.testing.assert_allclose(estimates.total(0).std_err, 2e-3, rtol=0, atol=step)
 
 
 def test_errors_of_integrals_come_back():
@@ -361,21 +369,21 @@ def test_errors_of_integrals_come_back():
         exact = Fraction(error) * largest
         assert abs(Fraction(n) - exact) <= Fraction(EPS) * exact
     # and where nothing was sampled, they come back
-    again = IntegralEstimates(one).std_err(0)[0, 4]
+    again = Estimates(one, IntegralEstimate).patches(0).std_err[0, 4]
     np.testing.assert_allclose(again, 7e-6, rtol=2 * EPS)  # rounding: of two operations
 
 
 def test_what_is_sampled_of_integrals_scatters():
     one = integrals(sums=(100, 0))
     one.sums[0, 0, 0, 0, 0] += one.incident[0, 0] // np.uint64(100)  # 0.01 in one batch
-    estimates = IntegralEstimates(one)
-    close(estimates.std_err(0)[0, 0, 0], np.hypot(0.005, 1e-3))
-    close(estimates.std_err(0)[0, 1, 0], 1e-3)
-    low, high = (limit[0, 0, 0] for limit in estimates.interval(0, LEVEL))
+    estimates = Estimates(one, IntegralEstimate)
+    close(estimates.patches(0).std_err[0, 0, 0], np.hypot(0.005, 1e-3))
+    close(estimates.patches(0).std_err[0, 1, 0], 1e-3)
+    low, high = (limit[0, 0, 0] for limit in estimates.patches(0).interval(LEVEL))
     half = statistics.student_interval(0.0, 0.005, 2, LEVEL)[1] + 1e-3
-    middle = estimates.fraction(0)[0, 0, 0]
+    middle = estimates.patches(0).value[0, 0, 0]
     np.testing.assert_allclose((low, high), (middle - half, middle + half), rtol=1e-12)
-    close(estimates.total_std_err(0)[0], np.hypot(0.005, 2e-3))
+    close(estimates.total(0).std_err[0], np.hypot(0.005, 2e-3))
 
 
 @pytest.mark.parametrize("flux", [0.3, 1e-9, 1e-30])
@@ -383,5 +391,5 @@ def test_dark_integrals_keep_their_digits(flux):
     """Rounding: of a product, of sums over batches, and of a quotient."""
     sampled = tally(np.zeros((2, 3), int))
     one = Integrals.beside(sampled, np.full((1, 1, 2, 1), flux), np.zeros((1, 1, 2, 1)))
-    fraction = IntegralEstimates(one).fraction(0)
+    fraction = Estimates(one, IntegralEstimate).patches(0).value
     np.testing.assert_allclose(fraction, flux, rtol=8 * EPS)
