@@ -3,6 +3,8 @@
 Normal scores: the number of standard deviations that is as improbable as a finding.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import special
@@ -46,17 +48,35 @@ def batch_std_err(sums: Numbers, incident: Numbers, unlike: bool = False) -> Flo
     n = len(sums)
     if n < 2:
         return np.full(np.broadcast_shapes(sums.shape, incident.shape)[1:], np.nan)
-    incident = np.asarray(incident, dtype=float)
+    square = sum(one * one for one in _deviations(sums, incident, unlike))
+    with np.errstate(invalid="ignore"):
+        return np.sqrt(square * (n / (n - 1))) / incident.sum(axis=0, dtype=float)
+
+
+def residuals(sums: Numbers, incident: Numbers, unlike: bool = False) -> Floats:
+    """Part of each batch in the error of :func:`ratio`, shaped like `sums`.
+
+    Their products, added up over the batches, are the covariance of the ratios, and
+    their squares that of :func:`batch_std_err`; of a single batch they are 0.
+    """
+    n = len(sums)
+    scale = np.sqrt(n / max(n - 1, 1)) / incident.sum(axis=0, dtype=float)
+    return np.stack(list(_deviations(sums, incident, unlike))) * scale
+
+
+def _deviations(sums: Numbers, incident: Numbers, unlike: bool) -> Iterator[Floats]:
+    """Deviation of each batch from the ratio, or from that of the others if `unlike`.
+
+    One after the other, for maps of many patches are large.
+    """
+    n, incident = len(sums), np.asarray(incident, dtype=float)
     fraction = ratio(sums, incident)
-    square = np.zeros(fraction.shape)
     with np.errstate(divide="ignore", invalid="ignore"):
         # of each batch's deviation, the part that the others' ratio would leave
-        kept = (1 - incident / incident.sum(axis=0)) / (1 - 1 / n)
+        kept = (1 - incident / incident.sum(axis=0)) / (1 - 1 / max(n, 2))
     for batch_sum, batch_incident, others in zip(sums, incident, kept):
         deviation = batch_sum - fraction * batch_incident
-        square += (deviation / others if unlike else deviation) ** 2
-    with np.errstate(invalid="ignore"):
-        return np.sqrt(square * (n / (n - 1))) / incident.sum(axis=0)
+        yield deviation / others if unlike else deviation
 
 
 def effective_batches(incident: Numbers) -> Floats:

@@ -11,7 +11,7 @@ from scipy import special
 
 from ...array_types import Flags, Floats, Integers
 from ...results.record import Record
-from ...results.statistics import ratio, student_score, two_sided_score
+from ...results.statistics import residuals, student_score, two_sided_score
 from ...results.tally import without_chance
 from ...single_precision import FEW_ROUNDINGS
 
@@ -90,18 +90,17 @@ class Readings:
             )
         sums = tally.sums[(slice(None), *where)].astype(float)
         incident = tally.incident[:, channel].astype(float)
-        n = len(sums)
-        factor = np.sqrt(n / max(n - 1, 1)) / incident.sum(axis=0) / solid
+        each = residuals(sums, incident, estimates.unlike_power)
         return cls(
             value=value,
             std_err=np.stack(errors)[where],
-            residual=(sums - ratio(sums, incident) * incident) * factor,
+            residual=each / solid,
             hits=hits.astype(float),
             exposure=rays * solid / weight,
             weight=weight,
             usual=usual,
             solid=solid,
-            dof=1e9 if estimates.binomial else n - 1.0,
+            dof=1e9 if estimates.binomial else len(sums) - 1.0,
         )
 
     @property

@@ -148,13 +148,13 @@ def covariance(record: Record, weights: ArrayLike) -> Floats:
         For a stack with the incident direction as first axis; NaN of a single batch.
     """
     rows, found = checked_weights(record, weights), []
-    for tally in record.tallies:
+    for one in record.estimates:
+        tally, unlike = one.tally, one.unlike_power
         sums = np.stack([summed(tally.sums, row) for row in rows], axis=-1)
-        came = tally.incident[..., None].astype(float)
-        residual = (sums - statistics.ratio(sums, came) * came) / came.sum(axis=0)
-        n = len(sums)
-        scale = n / (n - 1) if n > 1 else 0.0 if without_chance([tally]) else np.nan
-        found.append(scale * np.einsum("bsk,bsl->skl", residual, residual))
+        each = statistics.residuals(sums, tally.incident[..., None], unlike)
+        if len(each) == 1:
+            each = np.full(each.shape, 0.0 if without_chance([tally]) else np.nan)
+        found.append(np.einsum("bsk,bsl->skl", each, each))
     return np.array(found) if record.stacked else found[0]
 
 
