@@ -4,7 +4,7 @@ import drjit as dr
 import numpy as np
 import pytest
 from budget import agree, disagree, of_total
-from specimens import GREY, diffuse_groove_dhr, grooves
+from specimens import GREY, MIRROR, diffuse_groove_dhr, grooves
 
 import gonio_mi as gonio
 from gonio_mi.errors import SettingError, SpecimenError
@@ -70,6 +70,28 @@ def test_what_it_says_of_itself_is_so(estimator):
     else:
         with pytest.raises(SettingError, match=f"got the estimator {estimator}"):
             measured(estimator, rays=2**10, resume=whole)
+
+
+@pytest.mark.parametrize("rays", [20, 1000])
+@pytest.mark.parametrize("estimator", [*ESTIMATORS, "facets"])
+def test_one_sum_has_one_estimate(estimator, rays):
+    """Exact: a total and a patch, as the quantities of their weights."""
+    how = {"estimator": estimator, "rays": rays}
+    if estimator == "facets":  # mirrors, whose first order is a sum
+        how |= {"estimator": "next_event", "bsdf": MIRROR}
+    record = measured(**how)
+    shape = record.flux_fraction.shape[:-1]
+    everything, patch = np.zeros((2, *shape))
+    everything[0], patch[0, 1, 2] = 1.0, 1.0
+    total = record.quantity(everything)
+    assert total.value == record.dhr[0]
+    assert total.interval == tuple(np.ravel(record.interval(0.95, "dhr")))
+    np.testing.assert_equal(total.std_err, record.dhr_std_err[0])
+    one, where = record.quantity(patch), record.estimates[0].patches(0)
+    assert one.interval == tuple(x[1, 2, 0] for x in where.interval(0.95))
+    np.testing.assert_equal(one.std_err, where.std_err[1, 2, 0])
+    solid = record.subdivision.projected_solid_angles[1, 2]
+    assert one.value / solid == record.brdf[1, 2, 0]
 
 
 class Thinned(Method):

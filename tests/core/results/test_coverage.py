@@ -13,6 +13,7 @@ from benchmark import coverage
 from benchmark.coverage import CASES, LEVEL, Coverage
 from budget import agree, disagree, normal_scores, often_enough, verdict
 from scipy import special
+from specimens import diffuse_groove_dhr, grooves
 
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
@@ -342,3 +343,59 @@ def test_few_rays_of_a_small_near_emitter_cover(estimator):
         students.append(abs(record.dhr[0] - 0.5) <= half)
     agree(often_enough(covered))
     disagree(often_enough(students))
+
+
+def bright_texel(rest):
+    """One texel in 100 x 100 reflects all light, the others `rest`."""
+    texels = np.full((100, 100, 1), rest, np.float32)
+    texels[3, 7] = 1.0
+    texture = {"type": "bitmap", "data": mi.TensorXf(texels), "raw": True}
+    return {"type": "diffuse", "reflectance": texture | {"filter_type": "nearest"}}
+
+
+HOLE = {"type": "mask", "opacity": 0.999, "bsdf": {"type": "diffuse"}}
+DARK_GREY = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": 0.3}}
+CELL = {"period": "box"}
+# specimen, total, its truth, rays for each hit, settings
+FEW_HITS = {
+    "weighted": (HOLE, "dht", 1e-3, 1000, {"hemispheres": "both"}),
+    "analog": (
+        {"type": "diffuse", "reflectance": 1e-3},
+        "dhr",
+        1e-3,
+        1000,
+        {"estimator": "analog"},
+    ),
+    "counted": (
+        {"type": "diffuse", "reflectance": 1e-3},
+        "dhr",
+        1e-3,
+        1000,
+        {"estimator": "analog", "sampler": "independent"},
+    ),
+    "texel": (0.0, "dhr", 1e-4, 10_000, {}),
+    "texel on grey": (1e-3, "dhr", 1e-3 + 0.999e-4, 10_000, {}),
+    "next_event": (None, "dhr", None, 5, {"estimator": "next_event"} | CELL),
+    "split": (None, "dhr", None, 5, {"estimator": "split"} | CELL),
+}
+
+
+@pytest.mark.parametrize("hits", [3, 24, 100])
+@pytest.mark.parametrize("name", FEW_HITS)
+def test_totals_of_few_hits_cover(name, hits):
+    """Against closed forms; twin: intervals of half their width."""
+    specimen, of, truth, rays, how = FEW_HITS[name]
+    if isinstance(specimen, float):
+        specimen = bright_texel(specimen)
+    if specimen is None:
+        specimen = grooves(40.0, 1, bsdf=DARK_GREY)
+        truth = diffuse_groove_dhr(40.0, 30.0, 0.3)
+    specimen, covered, twins = mi.load_dict(specimen), [], []
+    for seed in range(2 * SEEDS):
+        how = how | {"rays": hits * rays, "seed": seed, "collector": "projected:4x6"}
+        (low,), (high,) = gonio.measure(specimen, 30, **how).interval(LEVEL, of)
+        covered.append(low <= truth <= high)
+        twins.append(abs((low + high) / 2 - truth) <= (high - low) / 4)
+    agree(often_enough(covered))
+    if name == "counted" and hits > 3:
+        disagree(often_enough(twins))
