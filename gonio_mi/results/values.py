@@ -318,26 +318,29 @@ class MeasuredValues:
     def interval(self, level: float = 0.95, of: str = "brdf") -> tuple[Floats, Floats]:
         """Interval that covers the true patch mean with probability `level`.
 
-        Exact binomial (Clopper-Pearson) for counted independent rays. Otherwise
-        Student's t over the batches, with fewer degrees of freedom where they had
-        unlike parts of the light of an emitter of finite size; for patches with fewer
-        than 100 hits (30 with samplers other than `independent`, which scatter less and
-        for which it is wider than need be) the exact binomial interval of the hits,
-        times the mean weight of a hit. A patch without a hit has an upper limit, and so
-        has a channel that none of its hits carried: the flux that would have left it
-        empty with probability ``(1 - level) / 2``, at the larger of unit weight and the
-        largest mean weight seen. All batches may give the same sum, and all rays may
-        have been received: no interval by Student's t is narrower than what so many
-        rays of another kind, of which none was seen, would change, nor than the
-        rounding of single precision. Where all rays were received with weight 1 they
-        can only be lost.
+        Patches, totals, `direct` and quantities have the same rules. Exact binomial
+        (Clopper-Pearson) for counted independent rays. Otherwise Student's t over the
+        batches, with fewer degrees of freedom where they had unlike parts of the light
+        of an emitter of finite size. For fewer than 100 independent hits, the exact
+        binomial interval of the hits times the mean weight of a hit; for fewer than 30
+        with other samplers, which scatter less, Student's t (below 4 batches that of
+        the hits). In both cases the interval of weights that are unlike reaches at
+        least to the limits for weighted counts (Fay and Feuer 1997), of which one of
+        their mean weight, by power, may have been missed. What received no hit has an
+        upper limit, and so has a channel that none of its hits carried: the flux that
+        would have left it empty with probability ``(1 - level) / 2``, at the larger of
+        unit weight and the largest mean weight of a patch. All batches may give the
+        same sum, and all rays may have been received: no interval by Student's t is
+        narrower than what so many rays of another kind, of which none was seen, would
+        change, nor than the rounding of single precision. Where all rays were received
+        with weight 1 they can only be lost.
 
         A patch that is `pooled` has few of the heavy hits that make all patches
         scatter, or none. Their weight is the third over the second cumulant of sums
         between batches, over all patches; as many of them as explain the patch's own
         scatter count as Poisson's, and one more may have been missed (Fay and Feuer
-        1997): the interval reaches at least to these limits, and so do those of
-        totals. It takes at least three batches, and heavy hits that some patch
+        1997): the interval reaches at least to these limits. It takes at least three
+        batches, and heavy hits that some patch
         received: what is rarer than one in all rays, no interval of them knows.
 
         Deposits of `next_event` are of very unlike weights: below 300 of them, where
