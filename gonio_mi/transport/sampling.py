@@ -53,8 +53,8 @@ def is_joint(sampler: mi.Sampler) -> bool:
 
     Then their numbers are the same however launches share them. Such a sampler has
     `start`, the point of the next wavefront's first ray; `points` and `go_to`, by which
-    a lane draws for another ray; `follow_curve`, by which rays start side by side on
-    the specimen; and `skip`, which leaves dimensions out.
+    a lane draws for another ray; `follow`, by which rays start along a :class:`.Curve`;
+    and `skip`, which leaves dimensions out.
     """
     return bool(getattr(sampler, "is_joint", False))
 
