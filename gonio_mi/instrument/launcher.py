@@ -56,7 +56,7 @@ MIN_RAYS = 2**10
 MAX_GROWTH = 128
 
 
-def round_rays(setup: Setup) -> int:
+def rays_per_round(setup: Setup) -> int:
     """Rays of each batch in the first rounds."""
     if not is_joint(setup.sampler):
         return MAX_LAUNCH
@@ -91,14 +91,14 @@ class Launcher:
         # else what all points or branches of a launch add to a patch may overflow
         self.most = MAX_LAUNCH // settings.n_looks
         # whether numbers are the same however launches share them, and whether rays
-        # start side by side on the specimen
+        # start along a curve over the specimen
         self.divisible = is_joint(setup.sampler)
-        self.curved = traced and self.divisible
+        self.on_curve = traced and self.divisible
         # batches of a direction that may share a launch: the same for all launches
         self.capacity = 1
         if self.divisible:
             # along a curve orders have the same bits together and one by one
-            sums = setup.n_bins * (1 if self.curved else len(setup.classes))
+            sums = setup.n_bins * (1 if self.on_curve else len(setup.classes))
             fitting = FUSED_SUMS // (sums * n_numbers())
             self.capacity = max(1, min(fitting, settings.batches, MAX_SEQUENCES))
         # of rare powers that sums have room for: what was met so far
@@ -111,7 +111,7 @@ class Launcher:
             fitting = FUSED_SUMS // (sums * n_numbers() * settings.batches)
             if Target.of(settings) is None:
                 fitting = min(fitting, FUSED_RAYS // settings.rays)
-            self.together = even_part(len(setups), max(1, fitting))
+            self.together = group_size(len(setups), max(1, fitting))
 
     def n_together(self, part: Round) -> int:
         """How many incident directions share the launches of a round.
@@ -166,8 +166,8 @@ class Launcher:
         while sizes:
             several = min(len(sizes), capacity)
             # else Ctrl-C keeps none before all have finished the round
-            if not (self.curved and part.start):
-                rays = FUSED_RAYS if self.curved else min(FUSED_RAYS, self.size.rays)
+            if not (self.on_curve and part.start):
+                rays = FUSED_RAYS if self.on_curve else min(FUSED_RAYS, self.size.rays)
                 # the last batch is always among them
                 several = max(1, min(several, rays // sizes[-1]) // n) * n
             keys = [
@@ -192,7 +192,8 @@ class Launcher:
 
     def pieces(self, whole: Launch) -> Iterator[Launch]:
         """Cut what batches send into launches, each of the size that was learnt."""
-        return self._along_curve(whole) if self.curved else self._in_order(whole)
+        cut = self._curve_launches if self.on_curve else self._ordered_launches
+        return cut(whole)
 
     def _controls(self, setup: Setup, lanes: Sequence[Any]) -> list[Any]:
         """Light that is known without rays, for each pass: made in the first round."""
@@ -200,7 +201,7 @@ class Launcher:
             self.known = setup, [setup.method.control(setup, nm) for nm in lanes]
         return self.known[1]
 
-    def _in_order(self, whole: Launch) -> Iterator[Launch]:
+    def _ordered_launches(self, whole: Launch) -> Iterator[Launch]:
         """Launches that each send the next rays of all batches."""
         start, sizes = whole.begin, whole.sizes
         begin, end = start, start + sizes[0]
@@ -212,18 +213,18 @@ class Launcher:
             yield replace(whole, sizes=parts, begin=begin)
             begin += n
 
-    def _along_curve(self, whole: Launch) -> Iterator[Launch]:
+    def _curve_launches(self, whole: Launch) -> Iterator[Launch]:
         """Launches that each go on where the one before ended."""
-        start, sizes, walks = whole.begin, whole.sizes, whole.n_directions
+        start, sizes, groups = whole.begin, whole.sizes, whole.n_directions
         n_next = partial(self.size.next_part, most=min(FUSED_RAYS, self.most))
-        for curve in curves(start, start + sizes[0], len(sizes), walks):
+        for curve in curves(start, start + sizes[0], len(sizes), groups):
             parts = tuple(min(curve.end, start + size) - curve.begin for size in sizes)
             for stretch in curve.cut(n_next):
                 yield replace(whole, sizes=parts, begin=curve.begin, curve=stretch)
 
 
-def even_part(n: int, most: int) -> int:
-    """How many of `n` share a group, of as few groups as there may be, about alike."""
+def group_size(n: int, most: int) -> int:
+    """Size of the groups of `n`: as few as `most` in each allows, about equal."""
     return -(-n // -(-n // most))
 
 

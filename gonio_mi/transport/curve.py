@@ -12,7 +12,7 @@ import drjit as dr
 import mitsuba as mi
 
 from .morton import deciding_bits, leading_digits, sorting_tables
-from .sampling import apart
+from .sampling import split_lanes
 from .sobol_points import FOOTPRINT, GROUPS, MIRRORED, key, owen, owen_inverse
 
 # Sequences that may follow a curve side by side: it has up to four points of each at a
@@ -51,9 +51,9 @@ class Curve:
         Points of each sequence, within one multiple of 2**32.
     sequences : int
         How many follow the curve.
-    walks : int
+    groups : int
         Groups of sequences, which are of the same size and take turns: sequence ``i``
-        is of group ``i % walks``. Each group follows the curve as it would alone, its
+        is of group ``i % groups``. Each group follows the curve as it would alone, its
         sequences side by side.
     part : (int, int), optional
         First and last step of each group, if the curve is a stretch of another one.
@@ -62,17 +62,17 @@ class Curve:
     begin: int
     end: int
     sequences: int = 1
-    walks: int = 1
+    groups: int = 1
     part: tuple[int, int] | None = None
 
     @property
     def rays(self) -> int:
         """Number of rays in all, lanes of other points of the block included."""
         first, last = self.part or (0, self._length)
-        return self.walks * (last - first)
+        return self.groups * (last - first)
 
     def stretch(self, first: int, last: int) -> Curve:
-        """The part of the curve between two steps of each group, of `rays / walks`."""
+        """The part of the curve between two steps of each group, of `rays / groups`."""
         return replace(self, part=(first, last))
 
     def cut(self, n_next: Callable[[int, int], int]) -> Iterator[Curve]:
@@ -83,7 +83,7 @@ class Curve:
         """
         at, chunk = 0, self._chunk
         while at < self._length:
-            n = n_next(self.walks * at, self.rays) // self.walks
+            n = n_next(self.groups * at, self.rays) // self.groups
             end = min(at + -(-max(1, n) // chunk) * chunk, self._length)
             yield self.stretch(at, end)
             at = end
@@ -106,10 +106,12 @@ class Curve:
         first, last = self.part or (0, self._length)
         start, n = self.begin % 2**32, last - first
         shift, length = dr.opaque(mi.UInt32, first), -(-n // chunk) * chunk
-        lane = dr.arange(mi.UInt32, self.walks * length)
-        walk, step = (mi.UInt32(0), lane) if self.walks == 1 else apart(lane, length)
-        place, sequence = apart(step + shift, together)
-        sequence = sequence * self.walks + walk
+        lane = dr.arange(mi.UInt32, self.groups * length)
+        group, step = mi.UInt32(0), lane
+        if self.groups > 1:
+            group, step = split_lanes(lane, length)
+        place, sequence = split_lanes(step + shift, together)
+        sequence = sequence * self.groups + group
         size = dr.opaque(mi.UInt32, 1 << bits)
         # from the middle of the unit square on, and around
         place = (place + dr.opaque(mi.UInt32, 3 << bits >> 2)) & (size - 1)
@@ -141,7 +143,7 @@ class Curve:
     @property
     def _together(self) -> int:
         """Sequences of each group."""
-        return self.sequences // self.walks
+        return self.sequences // self.groups
 
     @property
     def _length(self) -> int:
@@ -159,17 +161,17 @@ class Curve:
         return -(-CHUNK // least) * least
 
 
-def curves(begin: int, end: int, sequences: int, walks: int) -> Iterator[Curve]:
+def curves(begin: int, end: int, sequences: int, groups: int) -> Iterator[Curve]:
     """Curves through points of sequences, cut where blocks of powers of two end.
 
     The points of each fill the smallest aligned block about them by more than a half.
     """
-    most = 2**INDEX_BITS >> (sequences // walks - 1).bit_length()
+    most = 2**INDEX_BITS >> (sequences // groups - 1).bit_length()
     while begin < end:
         block = min(1 << (end - begin - 1).bit_length(), most)
         if begin % block:
             block = begin & -begin
-        yield Curve(begin, min(end, begin + block), sequences, walks)
+        yield Curve(begin, min(end, begin + block), sequences, groups)
         begin += block
 
 
@@ -177,7 +179,7 @@ def _whole_packets(idle: mi.UInt32, lane: mi.UInt32, chunk: int) -> mi.UInt32:
     """Lanes with a ray, and as many idle ones of each chunk as fill its last packet."""
     missing = (dr.block_sum(idle, chunk) - chunk) & (PACKET - 1)
     filling = dr.block_prefix_sum(idle, chunk)
-    filling = filling < dr.gather(mi.UInt32, missing, apart(lane, chunk)[0])
+    filling = filling < dr.gather(mi.UInt32, missing, split_lanes(lane, chunk)[0])
     kept = dr.compress((idle == 0) | filling)
     return kept if len(kept) else dr.arange(mi.UInt32, PACKET)
 
@@ -299,7 +301,7 @@ def sorted_within(n: int, eighth: mi.UInt32, *arrays: mi.UInt32) -> list[mi.UInt
     below = sum(1 << place for place in range(width, 64, width))
     one = mi.UInt64(1) << mi.UInt64(digit * width)
     dr.eval(one, digit, *arrays)
-    group, _ = apart(dr.arange(mi.UInt32, dr.width(one)), n)
+    group, _ = split_lanes(dr.arange(mi.UInt32, dr.width(one)), n)
     smaller = dr.gather(mi.UInt64, dr.block_sum(one, n) * below, group)
     rank = (smaller + dr.block_prefix_sum(one, n)) >> mi.UInt64(digit * width)
     target = group * dr.opaque(mi.UInt32, n) + (mi.UInt32(rank) & (2**width - 1))

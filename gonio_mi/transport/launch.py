@@ -17,7 +17,15 @@ from .beam import Beam
 from .curve import Curve
 from .exits import Exits, of_order
 from .media_loop import Geometry, trace_inside
-from .sampling import Relay, apart, continues, in_turns, rays_per_lane, seeded, turns_of
+from .sampling import (
+    Relay,
+    continues,
+    in_turns,
+    rays_per_lane,
+    seeded,
+    split_lanes,
+    turns_of,
+)
 from .setup import Setup
 from .sums import Sums, Totals
 from .surface_loop import PathSettings, scatter_plane, trace
@@ -96,7 +104,7 @@ def launch(one: Launch) -> Totals:
             # as many lanes as rays, even where none of them draws a number
             lane = dr.arange(mi.UInt32, len(sizes) * lanes)
             alone = one.capacity == 1
-            batch, ray = (mi.UInt32(0), lane) if alone else apart(lane, lanes)
+            batch, ray = (mi.UInt32(0), lane) if alone else split_lanes(lane, lanes)
         # the last batches may be shorter by one ray
         full = dr.opaque(mi.UInt32, sizes.count(sizes[0]))
         size = dr.opaque(mi.UInt32, sizes[0]) - dr.select(batch < full, mi.UInt32(0), 1)

@@ -183,8 +183,10 @@ def rays_per_lane(sampler: mi.Sampler, rays: int) -> int:
     return max(1, min(MAX_RELAY_TURNS, rays // fewest))
 
 
-def apart(lane: mi.UInt32, n: int) -> tuple[mi.UInt32, mi.UInt32]:
-    """Number of the group of `n` lanes, and of the lane in it; up to 2**32 lanes.
+def split_lanes(lane: mi.UInt32, n: int) -> tuple[mi.UInt32, mi.UInt32]:
+    """Quotient and remainder of lanes by `n`: group of `n` lanes, and lane in it.
+
+    For up to 2**32 lanes.
 
     A division in double precision, exact because no quotient is nearer to a whole
     number than ``1 / (2 n)``, and much faster than one of integers. The reciprocal is

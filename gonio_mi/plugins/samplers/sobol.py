@@ -9,7 +9,7 @@ import mitsuba as mi
 
 from gonio_mi.errors import VariantError
 from gonio_mi.transport.curve import Curve
-from gonio_mi.transport.sampling import apart
+from gonio_mi.transport.sampling import split_lanes
 from gonio_mi.transport.sobol_points import byte_table, fraction, sobol_number
 
 
@@ -76,7 +76,7 @@ class Sobol(mi.Sampler):
         lane = dr.arange(mi.UInt32, self.wavefront_size())
         sequences = dr.width(self.keys)
         if sequences > 1:
-            sequence, lane = apart(lane, self.wavefront_size() // sequences)
+            sequence, lane = split_lanes(lane, self.wavefront_size() // sequences)
             self.key = dr.gather(mi.UInt32, self.key, sequence)
         self.index = lane + dr.opaque(mi.UInt32, self.start)
         self.draw = mi.UInt32(0)
