@@ -6,7 +6,6 @@ variant. What it offers is imported when it is first used.
 """
 
 import ast
-import importlib
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from . import start_up
 start_up.begin()
 
 from . import llvm  # noqa: E402
-from .annexes import is_missing  # noqa: E402
+from .annexes import attribute, is_missing  # noqa: E402
 
 llvm.prepare()
 
@@ -28,7 +27,7 @@ if start_up.needs_mitsuba():
 
 # The stub for type checkers says which module each public name is of.
 _stub = ast.parse(Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
-_module_of = {
+OFFERS = {
     name.name: statement.module
     for statement in _stub.body
     if isinstance(statement, ast.ImportFrom)
@@ -36,24 +35,16 @@ _module_of = {
     if not is_missing(statement.module or "")
 }
 
-__all__ = sorted(_module_of)
+__all__ = sorted(OFFERS)
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name, and with the first one how records show themselves.
-
-    ``__version__`` is that of the installed package.
-    """
+    """Import a public name; ``__version__`` is that of the installed package."""
     if name == "__version__":
         from importlib import metadata  # slow to import
 
         return metadata.version("gonio-mi")
-    if name not in _module_of:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    importlib.import_module(".reports", __name__)
-    module = importlib.import_module(f".{_module_of[name]}", __name__)
-    globals()[name] = value = getattr(module, name)
-    return value
+    return attribute(__name__, name)
 
 
 def __dir__() -> list[str]:

@@ -1,14 +1,17 @@
-"""Annexes: folders that stand on the core, which asks for what is there.
+"""Annexes, which stand on the core; and names that are imported when they are used.
 
-The ``__init__`` of each is its door: ``COMMANDS`` has the summary of each command by
-its name, a module of the annex's ``commands``; ``PLUGINS`` names modules of Mitsuba
-plugins; ``OFFERS`` says in which module what the core asks for is. The core imports
-none of them in any other way, and does without those that are missing.
+The ``__init__`` of a package is its door. ``OFFERS`` says in which module each name is
+that others ask for: packages below this one, which may not import it, and users of a
+package that must be imported quickly. The door of an annex also has ``COMMANDS``, the
+summary of each command by its name, a module of the annex's ``commands``; and
+``PLUGINS``, modules of Mitsuba plugins. The core imports no annex in any other way, and
+does without those that are missing.
 """
 
 import functools
 import importlib
 import importlib.util
+import sys
 from collections.abc import Iterator
 from types import ModuleType
 from typing import Any
@@ -52,17 +55,30 @@ def check_there(annex: str, what: str) -> None:
 REQUIRED = object()
 
 
-def ask(annex: str, name: str, default: Any = REQUIRED) -> Any:
-    """What an annex offers under a name; the default if the annex is missing.
+def ask(package: str, name: str, default: Any = REQUIRED) -> Any:
+    """Import what a package offers under a name; the default if it is a missing annex.
 
     Raises
     ------
     SettingError
         If the annex is missing, and there is no default.
     """
-    if is_missing(annex) and default is not REQUIRED:
+    if is_missing(package) and default is not REQUIRED:
         return default
-    check_there(annex, name)
-    door = importlib.import_module(f".{annex}", __package__)
+    check_there(package, name)
+    return _offered(importlib.import_module(f".{package}", __package__), name)
+
+
+def attribute(door: str, name: str) -> Any:
+    """Public name of a package, for its ``__getattr__``: imported when first used."""
+    package = sys.modules[door]
+    if name not in package.OFFERS:
+        raise AttributeError(f"module {door!r} has no attribute {name!r}")
+    value = _offered(package, name)
+    setattr(package, name, value)
+    return value
+
+
+def _offered(door: ModuleType, name: str) -> Any:
     module = importlib.import_module(f".{door.OFFERS[name]}", door.__name__)
     return getattr(module, name)

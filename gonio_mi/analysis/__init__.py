@@ -8,6 +8,7 @@ COMMANDS = {
 }
 PLUGINS: tuple[str, ...] = ()
 OFFERS = {
+    "chart_view": "charts.figure",
     "micro_normals": "micro_normals",
     "record_quantity": "quantities.quantity",
     "covariance": "quantities.functionals",

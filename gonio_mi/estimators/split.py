@@ -21,7 +21,7 @@ from ..specimen.shapes import coincide
 from ..transport.exits import of_order
 from ..transport.launch import LaunchedRays
 from ..transport.method import Method
-from ..transport.sampling import apart, is_joint
+from ..transport.sampling import is_joint, split_lanes
 from ..transport.setup import Setup
 from ..transport.sums import Totals
 from .surface_points import SingleScattering, single_scattering
@@ -127,7 +127,9 @@ class Split(Method):
         which = dr.compress(again)
         if not len(which):
             return
-        lane, branch = apart(dr.arange(mi.UInt32, BRANCHES * len(which)), BRANCHES)
+        lane, branch = split_lanes(
+            dr.arange(mi.UInt32, BRANCHES * len(which)), BRANCHES
+        )
         which = dr.gather(mi.UInt32, which, lane)
         batch, index, key = (
             dr.gather(mi.UInt32, x, which) for x in (batch, index, key)

@@ -26,7 +26,7 @@ from ..results.tally import Fate, Tally
 from ..settings.measurement_settings import BRANCHES
 from ..specimen.rays import NEARBY, departure, escapes, intersect
 from ..transport.polarisation import n_channels
-from ..transport.sampling import apart, seeded
+from ..transport.sampling import seeded, split_lanes
 from ..transport.setup import Setup
 from ..transport.surface_events import MAX_POWER, flux_context
 
@@ -299,7 +299,7 @@ class SurfacePoints:
         By :meth:`_kept`, with the part of all incident light that meets the point.
         """
         lanes = dr.arange(mi.UInt32, n * self.n_batches * m)
-        point, incident = apart(lanes, m)
+        point, incident = split_lanes(lanes, m)
         incident += dr.opaque(mi.UInt32, first)
         here = dr.gather(mi.SurfaceInteraction3f, si, point)
         wi = dr.gather(mi.Vector3f, self.wi, incident)
@@ -313,7 +313,7 @@ class SurfacePoints:
     def _gone(self, si: Any, place: mi.Point2f, n: int) -> mi.Float:
         """Towards a place in each patch from each point, by :meth:`_kept`."""
         lanes = dr.arange(mi.UInt32, n * self.n_batches * self.n_patches)
-        point, patch = apart(lanes, self.n_patches)
+        point, patch = split_lanes(lanes, self.n_patches)
         low, span, phi_low, phi_span = (
             dr.gather(mi.Float, column, patch) for column in self.table[:4]
         )
@@ -351,8 +351,8 @@ class SurfacePoints:
         Shape ``(n_batches, m, n_patches, channels)``.
         """
         lanes = dr.arange(mi.UInt32, self.n_batches * m * self.n_patches)
-        pair, patch = apart(lanes, self.n_patches)
-        batch, incident = apart(pair, m)
+        pair, patch = split_lanes(lanes, self.n_patches)
+        batch, incident = split_lanes(pair, m)
         numbers = [dr.opaque(mi.UInt32, x) for x in (n, m, self.n_patches)]
         where = batch, incident, patch
         total, sound = _added_up(si, came, gone, where, numbers)

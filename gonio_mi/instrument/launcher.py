@@ -5,13 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from ..kernels import check_all_counted
 from ..results.tally import Tally
 from ..specimen.wavelengths import wavelength_lanes
+from ..transport.curve import MAX_SEQUENCES, curves
 from ..transport.launch import Launch, launch, traces
-from ..transport.morton import block_bits, chunk_lanes
 from ..transport.sampling import is_joint
 from ..transport.setup import Setup
 from ..transport.sums import n_numbers
@@ -24,11 +25,9 @@ MAX_LAUNCH = 2**24
 # Rays of the batches that share a launch on a plane, and of any launch along a curve:
 # many for its overhead, few for the progress bar and Ctrl-C; the numbers that they add
 # up to, as many as Dr.Jit keeps apart for each thread (`drjit.expand_threshold`): also
-# those of several incident directions; and these batches, of which the curve has up to
-# four points at a place: together less than 2**16, which `sorted_within` can count.
+# those of several incident directions.
 FUSED_RAYS = 2**22
 FUSED_SUMS = 2**20
-FUSED_BATCHES = 2**14 - 1
 
 # Rays of the first launch: traced and on a plane; and points that traced ones send
 # light to. Then as many as take a second.
@@ -57,7 +56,7 @@ MIN_RAYS = 2**10
 MAX_GROWTH = 128
 
 
-def round_rays(setup: Setup) -> int:
+def rays_per_round(setup: Setup) -> int:
     """Rays of each batch in the first rounds."""
     if not is_joint(setup.sampler):
         return MAX_LAUNCH
@@ -92,16 +91,16 @@ class Launcher:
         # else what all points or branches of a launch add to a patch may overflow
         self.most = MAX_LAUNCH // settings.n_looks
         # whether numbers are the same however launches share them, and whether rays
-        # start side by side on the specimen
+        # start along a curve over the specimen
         self.divisible = is_joint(setup.sampler)
-        self.curved = traced and self.divisible
+        self.on_curve = traced and self.divisible
         # batches of a direction that may share a launch: the same for all launches
         self.capacity = 1
         if self.divisible:
             # along a curve orders have the same bits together and one by one
-            sums = setup.n_bins * (1 if self.curved else len(setup.classes))
+            sums = setup.n_bins * (1 if self.on_curve else len(setup.classes))
             fitting = FUSED_SUMS // (sums * n_numbers())
-            self.capacity = max(1, min(fitting, settings.batches, FUSED_BATCHES))
+            self.capacity = max(1, min(fitting, settings.batches, MAX_SEQUENCES))
         # of rare powers that sums have room for: what was met so far
         self.levels = setup.levels
         self.known: tuple[Setup, list[Any]] | None = None
@@ -112,7 +111,7 @@ class Launcher:
             fitting = FUSED_SUMS // (sums * n_numbers() * settings.batches)
             if Target.of(settings) is None:
                 fitting = min(fitting, FUSED_RAYS // settings.rays)
-            self.together = even_part(len(setups), max(1, fitting))
+            self.together = group_size(len(setups), max(1, fitting))
 
     def n_together(self, part: Round) -> int:
         """How many incident directions share the launches of a round.
@@ -167,8 +166,8 @@ class Launcher:
         while sizes:
             several = min(len(sizes), capacity)
             # else Ctrl-C keeps none before all have finished the round
-            if not (self.curved and part.start):
-                rays = FUSED_RAYS if self.curved else min(FUSED_RAYS, self.size.rays)
+            if not (self.on_curve and part.start):
+                rays = FUSED_RAYS if self.on_curve else min(FUSED_RAYS, self.size.rays)
                 # the last batch is always among them
                 several = max(1, min(several, rays // sizes[-1]) // n) * n
             keys = [
@@ -193,7 +192,8 @@ class Launcher:
 
     def pieces(self, whole: Launch) -> Iterator[Launch]:
         """Cut what batches send into launches, each of the size that was learnt."""
-        return self._along_curve(whole) if self.curved else self._in_order(whole)
+        cut = self._curve_launches if self.on_curve else self._ordered_launches
+        return cut(whole)
 
     def _controls(self, setup: Setup, lanes: Sequence[Any]) -> list[Any]:
         """Light that is known without rays, for each pass: made in the first round."""
@@ -201,7 +201,7 @@ class Launcher:
             self.known = setup, [setup.method.control(setup, nm) for nm in lanes]
         return self.known[1]
 
-    def _in_order(self, whole: Launch) -> Iterator[Launch]:
+    def _ordered_launches(self, whole: Launch) -> Iterator[Launch]:
         """Launches that each send the next rays of all batches."""
         start, sizes = whole.begin, whole.sizes
         begin, end = start, start + sizes[0]
@@ -213,24 +213,18 @@ class Launcher:
             yield replace(whole, sizes=parts, begin=begin)
             begin += n
 
-    def _along_curve(self, whole: Launch) -> Iterator[Launch]:
+    def _curve_launches(self, whole: Launch) -> Iterator[Launch]:
         """Launches that each go on where the one before ended."""
-        start, sizes, walks = whole.begin, whole.sizes, whole.n_directions
-        together = len(sizes) // walks
-        chunk, most_rays = chunk_lanes(together), min(FUSED_RAYS, self.most)
-        most = 2**29 >> (together - 1).bit_length()  # places have 29 bits
-        for begin, end in segments(start, start + sizes[0], most):
-            parts = tuple(min(end, start + size) - begin for size in sizes)
-            at, length = 0, together << block_bits(begin, end - begin)
-            while at < length:
-                n = self.size.next_part(walks * at, walks * length, most_rays) // walks
-                there = min(at + -(-max(1, n) // chunk) * chunk, length)
-                yield replace(whole, sizes=parts, begin=begin, stretch=(at, there))
-                at = there
+        start, sizes, groups = whole.begin, whole.sizes, whole.n_directions
+        n_next = partial(self.size.next_part, most=min(FUSED_RAYS, self.most))
+        for curve in curves(start, start + sizes[0], len(sizes), groups):
+            parts = tuple(min(curve.end, start + size) - curve.begin for size in sizes)
+            for stretch in curve.cut(n_next):
+                yield replace(whole, sizes=parts, begin=curve.begin, curve=stretch)
 
 
-def even_part(n: int, most: int) -> int:
-    """How many of `n` share a group, of as few groups as there may be, about alike."""
+def group_size(n: int, most: int) -> int:
+    """Size of the groups of `n`: as few as `most` in each allows, about equal."""
     return -(-n // -(-n // most))
 
 
@@ -276,17 +270,3 @@ class LaunchSize:
         # the generator is seeded anew for every 2**32 rays
         left = min(end, (begin // 2**32 + 1) * 2**32) - begin
         return -(-left // -(-left // min(self.rays, most)))
-
-
-def segments(begin: int, end: int, most: int) -> Iterator[tuple[int, int]]:
-    """Cut a range of points where aligned blocks of powers of two end.
-
-    Each of the ranges, of `most` points at most, a power of two, fills the smallest
-    block about it by more than a half.
-    """
-    while begin < end:
-        block = min(1 << (end - begin - 1).bit_length(), most)
-        if begin % block:
-            block = begin & -begin
-        yield begin, min(end, begin + block)
-        begin += block

@@ -27,7 +27,7 @@ from ..transport.polarisation import n_channels, n_elements
 from ..transport.setup import Setup
 from ..variants import is_parallel
 from .incidence import incident_angles
-from .launcher import Launcher, even_part, round_rays
+from .launcher import Launcher, group_size, rays_per_round
 from .recording import check_resumable, record_of, records_of, warn_of_interruption
 from .schedule import Target, rays_sent, rounds, schedule
 from .setup import own_settings, set_up
@@ -137,7 +137,7 @@ def measure_stacks(
     setups = set_up(scene, settings, incidents, emitter, name=name, orders=orders)
     finished: list[list[Tally]] = [[] for _ in setups]
     if resume is not None:
-        check_resumable(resume, setups, round_rays(setups[0]))
+        check_resumable(resume, setups, rays_per_round(setups[0]))
         finished[: len(resume)] = [[tally] for tally in resume.tallies]
     started = time.perf_counter()
     complete = send_all(setups, finished, progress)
@@ -164,7 +164,7 @@ def send_all(
     _check_sums_fit(setups, plan)
     # one that is carried on has sent more in some directions than in others
     launcher = Launcher(setups[:1] if any(finished) else setups)
-    size = even_part(n, method.together) if method.together else launcher.together
+    size = group_size(n, method.together) if method.together else launcher.together
     begun = size if method.together else n
     known: list[Any] = [None] * n
     rays = None
@@ -215,7 +215,7 @@ def _send(
     schedules = [
         schedule(
             setup.settings,
-            round_rays(setup),
+            rays_per_round(setup),
             len(setup.passes),
             tallies,
             partial(_looked_at, setup, light),
@@ -300,7 +300,7 @@ def _check_sums_fit(setups: Sequence[Setup], plan: Sequence[int]) -> None:
     n_orders = max(len(setups[0].orders), len(setups[0].classes))
     sums = n_orders * sum(setup.n_collected for setup in setups)
     # while they are joined; and beside those of the rounds before
-    n_rounds = len(rounds(plan, round_rays(setups[0])))
+    n_rounds = len(rounds(plan, rays_per_round(setups[0])))
     copies = 2 * min(n_rounds, 2)
     check_memory(
         f"{sums} patches in {len(plan)} batches",

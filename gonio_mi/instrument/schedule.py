@@ -97,8 +97,8 @@ def _plans(
         tallies[:] = [Tally.join(tallies)]
         goal = target.next_goal(look(tallies[0]), each * batches) // batches
         if goal > each:
-            # up to an eighth more, where points of low discrepancy are even: a few
-            # launches along a curve, which take aligned blocks, are enough from there
+            # up to an eighth more, which completes a low-discrepancy set: from there
+            # on a few launches along a curve are enough
             step = max(1 << goal.bit_length() >> 4, 1)
             goal = min(-(-goal // step) * step, settings.max_rays // batches)
 
@@ -115,7 +115,7 @@ def rounds(plan: Sequence[int], step: int, start: int = 0) -> list[list[int]]:
 
     What whole rounds have sent is what Ctrl-C keeps. A round adds `step` rays to each
     batch, or up to an eighth of what was sent before it, and ends at a multiple of a
-    power of two, where points of low discrepancy are even. The sums are rounded after
+    power of two, which completes a low-discrepancy set. The sums are rounded after
     each, so that rounds depend on numbers of rays and on nothing else.
 
     Parameters

@@ -1,12 +1,10 @@
 """Figures of records. matplotlib, the extra ``plot``, is imported when one is drawn."""
 
-from ..results.record import Record
 from .figure import ANIMATION_ENDINGS, FIGURE_ENDINGS, check_picture
 from .plot import animation, plot, sheet
 from .polarisation import plot_mueller, plot_stokes
 
-# a record's own method draws it, and imports nothing of what is above it
-Record.plotter = plot
+OFFERS = {"plot": "plot"}
 
 __all__ = [
     "ANIMATION_ENDINGS",

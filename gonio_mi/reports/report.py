@@ -31,8 +31,7 @@ from ..plots.plot import received
 from ..progress import bar
 from ..results.record import Record, checked_records
 from ..results.summary import Summary, summarize
-from ..results.summary_text import percent, summary_text, total_cells
-from ..results.tally import grouped
+from ..results.summary_text import ledger_cells, summary_text, total_cells
 from .page import figure, picture_and_text, save_page
 
 # Patch values of one record, over all directions, hemispheres and channels, that a
@@ -243,10 +242,8 @@ def _direction_rows(summary: Summary, index: int) -> dict[str, Any]:
         rows.append(["rays", "none: integrals", "", ""])
     else:
         rows.append(["ledger (counts rays, not power)", "rays", "share of rays", ""])
-    for name, n in found.ledger.items():
-        if n:
-            label = "of these over the edge" if name == "over_the_edge" else name
-            rows.append([label, grouped(n), f"{percent(n, emitted)} %", ""])
+    for name, n, share in ledger_cells(found.ledger, emitted):
+        rows.append([name, n, f"{share} %", ""])
     return {"theta_i": found.theta_i, "phi_i": found.phi_i, "rows": rows}
 
 

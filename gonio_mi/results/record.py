@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 import operator
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from os import PathLike
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -65,12 +64,6 @@ class Record(MeasuredValues):
     stacked : bool
         Whether it was asked for as a stack.
     """
-
-    # what rooms above this one do with a record: files and plots set it
-    writer: ClassVar[Callable[[Record, str | PathLike[str]], None]]
-    labeller: ClassVar[Callable[[Record], Any]]
-    plotter: ClassVar[Callable[..., Any]]
-    viewer: ClassVar[Callable[[Record], str]]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "asked", self._known(self.asked))
@@ -249,11 +242,11 @@ class Record(MeasuredValues):
         OSError
             If it cannot be written.
         """
-        _done_by("writer")(self, path)
+        ask("files", "save")(self, path)
 
     def plot(self, path: str | PathLike[str] | None = None, *, index: int = 0) -> Any:
         """Figure of one incident direction; see :func:`gonio_mi.plot`."""
-        return _done_by("plotter")(self, path, index=index)
+        return ask("plots", "plot")(self, path, index=index)
 
     def quantity(self, what: Any, over: Any = None, **how: Any) -> Any:
         """Quantity of a name, or a weighted sum of patches, with its uncertainty.
@@ -271,11 +264,11 @@ class Record(MeasuredValues):
 
     def to_xarray(self) -> Any:
         """Labelled arrays; see :func:`gonio_mi.files.netcdf.dataset`."""
-        return _done_by("labeller")(self)
+        return ask("files", "dataset")(self)
 
     def _repr_html_(self) -> str:
         """Picture, numbers and warnings, for notebooks."""
-        shown: str = _done_by("viewer")(self)
+        shown: str = ask("reports", "notebook_view")(self)
         return shown
 
     # ------------------------------------------------------------------ internals
@@ -370,18 +363,3 @@ def checked_records(given: Any, several: bool = True) -> list[Record]:
         text = f"record must be a Record{' or several' * several}, got {shown(given)}"
         raise SettingTypeError(text)
     return records
-
-
-# ---------------------------------------------------------------------- of other rooms
-
-
-def _done_by(name: str) -> Callable[..., Any]:
-    """What other rooms do for records, whichever of them was imported first.
-
-    The package's entrance brings them with its first public name.
-    """
-    if not hasattr(Record, name):
-        entrance = importlib.import_module(__name__.partition(".")[0])
-        _ = entrance.report
-    done: Callable[..., Any] = getattr(Record, name)
-    return done

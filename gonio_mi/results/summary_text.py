@@ -3,7 +3,7 @@
 import math
 import textwrap
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from operator import itemgetter
 
 import numpy as np
@@ -21,7 +21,11 @@ WIDTH = 88
 MAX_SURFACE = 400
 # Characters of a text that are told: in a file it may have any number.
 MAX_TEXT = 10_000
-MAIN_ROWS = ("reflected", "transmitted", "absorbed")
+
+# Rows of the ledger that are shown even if they are zero, and the name of one that is
+# no row.
+MAIN_ROWS = ("reflected", "transmitted", "absorbed", "sum")
+NAMES = {"over_the_edge": "of these over the edge"}
 
 # What some rows of the ledger mean where rays have weights.
 MEANINGS = {
@@ -285,6 +289,17 @@ def _copies(summary: Summary) -> set[tuple[float | None, float | None]]:
     return held.intersection(campaign.copies if campaign else ())
 
 
+def ledger_cells(
+    ledger: Mapping[str, int], emitted: int, always: Collection[str] = ()
+) -> list[list[str]]:
+    """Name, rays and per cent of the rows of a ledger; of empty rows only `always`."""
+    return [
+        [NAMES.get(name, name), grouped(n), percent(n, emitted)]
+        for name, n in ledger.items()
+        if n or name in always
+    ]
+
+
 def _ledger_text(summary: Summary) -> str:
     """Where the rays went: all rows but those that are zero."""
     ledger = summary.ledger
@@ -296,17 +311,11 @@ def _ledger_text(summary: Summary) -> str:
             "value less and plus it"
         )
         return _filled("ledger    ", text)
-    shown = {
-        name: n
-        for name, n in summary.record.ledger.rows.items()
-        if n or name in MAIN_ROWS
-    }
-    rows = [[name, grouped(n), percent(n, emitted)] for name, n in shown.items()]
-    rows.append(["sum", grouped(sum(shown.values())), percent(emitted, emitted)])
-    if over := ledger["over_the_edge"]:
-        rows.append(["of these over the edge", grouped(over), percent(over, emitted)])
+    numbers = {**summary.record.ledger.rows, "sum": emitted}
+    numbers["over_the_edge"] = ledger["over_the_edge"]
+    rows = ledger_cells(numbers, emitted, MAIN_ROWS)
     lines = [aligned(["ledger", "rays", "% of rays"], rows)]
-    beyond = shown["transmitted"] + shown.get("direct", 0)
+    beyond = ledger["transmitted"] + ledger["direct"]
     if beyond and not summary.record.has_lower:
         lines.append(
             f"{percent(beyond, emitted)} % of the rays left on the other side, where "
@@ -315,7 +324,7 @@ def _ledger_text(summary: Summary) -> str:
     if any(tally.scale != 1 for tally in summary.record.tallies):
         totals = "dhr and dht above are" if summary.record.has_lower else "dhr above is"
         lines += [f"this table counts rays, not power; {totals} of power"]
-        said = [f"{row}: {text}" for row, text in MEANINGS.items() if shown.get(row)]
+        said = [f"{row}: {text}" for row, text in MEANINGS.items() if ledger[row]]
         lines += ["; ".join(said)] if said else []
     return "\n".join(lines)
 

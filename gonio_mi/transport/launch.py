@@ -14,9 +14,18 @@ from ..kernels import check_variant_kept
 from ..results.provenance import FACETS
 from ..settings.values import UNLIMITED
 from .beam import Beam
+from .curve import Curve
 from .exits import Exits, of_order
 from .media_loop import Geometry, trace_inside
-from .sampling import Relay, apart, continues, in_turns, rays_per_lane, seeded, turns_of
+from .sampling import (
+    Relay,
+    continues,
+    in_turns,
+    rays_per_lane,
+    seeded,
+    split_lanes,
+    turns_of,
+)
 from .setup import Setup
 from .sums import Sums, Totals
 from .surface_loop import PathSettings, scatter_plane, trace
@@ -43,9 +52,8 @@ class Launch:
         Rays of each batch, in descending order and alike within one ray.
     begin : int
         Rays of each batch that were sent before.
-    stretch : (int, int), optional
-        Along the curve that all batches of a direction walk together: only rays from
-        there.
+    curve : Curve, optional
+        Stretch of the curve that the batches follow. Without one rays are in order.
     control : object, optional
         Light that is known without rays, of the setup's method.
     levels : range
@@ -59,17 +67,14 @@ class Launch:
     keys: tuple[tuple[int, ...], ...]
     sizes: tuple[int, ...]
     begin: int = 0
-    stretch: tuple[int, int] | None = None
+    curve: Curve | None = None
     control: Any = None
     levels: range = range(0)
 
     @property
     def rays(self) -> int:
-        """Rays in all, or points of the curve."""
-        if self.stretch is None:
-            return sum(self.sizes)
-        first, end = self.stretch
-        return self.n_directions * (end - first)
+        """Rays in all, those along the curve that no batch sends included."""
+        return sum(self.sizes) if self.curve is None else self.curve.rays
 
     @property
     def n_directions(self) -> int:
@@ -93,13 +98,13 @@ def launch(one: Launch) -> Totals:
         known = None if one.control is None else one.control.flux
         sums = Sums(setup, levels, one.capacity, known)
         sampler = seeded(setup.sampler, one.keys, one.begin, lanes)
-        if one.stretch is not None:
-            batch, ray = sampler.follow_curve(*one.stretch, one.n_directions)
+        if one.curve is not None:
+            batch, ray = sampler.follow(one.curve)
         else:
             # as many lanes as rays, even where none of them draws a number
             lane = dr.arange(mi.UInt32, len(sizes) * lanes)
             alone = one.capacity == 1
-            batch, ray = (mi.UInt32(0), lane) if alone else apart(lane, lanes)
+            batch, ray = (mi.UInt32(0), lane) if alone else split_lanes(lane, lanes)
         # the last batches may be shorter by one ray
         full = dr.opaque(mi.UInt32, sizes.count(sizes[0]))
         size = dr.opaque(mi.UInt32, sizes[0]) - dr.select(batch < full, mi.UInt32(0), 1)

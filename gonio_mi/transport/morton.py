@@ -7,28 +7,9 @@ and so keeps neighbours together.
 """
 
 from collections.abc import Sequence
-from math import lcm
 
 import numpy as np
 from numpy.typing import NDArray
-
-# Lanes of the widest packets of Embree, and at least between cuts of launches.
-PACKET, CHUNK = 2**4, 2**10
-
-
-def chunk_lanes(n: int) -> int:
-    """Lanes between which launches may be cut, if `n` points are at one place.
-
-    Whole packets, and up to four places in a row, which :func:`leading_digits` may not
-    tell apart.
-    """
-    least = lcm(PACKET, 4 * n)
-    return -(-CHUNK // least) * least
-
-
-def block_bits(start: int, n: int) -> int:
-    """Binary digits of the size of the smallest aligned block about `n` points."""
-    return (start ^ (start + n - 1)).bit_length()
 
 
 def sorting_tables(

@@ -53,8 +53,8 @@ def is_joint(sampler: mi.Sampler) -> bool:
 
     Then their numbers are the same however launches share them. Such a sampler has
     `start`, the point of the next wavefront's first ray; `points` and `go_to`, by which
-    a lane draws for another ray; `follow_curve`, by which rays start side by side on
-    the specimen; and `skip`, which leaves dimensions out.
+    a lane draws for another ray; `follow`, by which rays start along a :class:`.Curve`;
+    and `skip`, which leaves dimensions out.
     """
     return bool(getattr(sampler, "is_joint", False))
 
@@ -183,8 +183,10 @@ def rays_per_lane(sampler: mi.Sampler, rays: int) -> int:
     return max(1, min(MAX_RELAY_TURNS, rays // fewest))
 
 
-def apart(lane: mi.UInt32, n: int) -> tuple[mi.UInt32, mi.UInt32]:
-    """Number of the group of `n` lanes, and of the lane in it; up to 2**32 lanes.
+def split_lanes(lane: mi.UInt32, n: int) -> tuple[mi.UInt32, mi.UInt32]:
+    """Quotient and remainder of lanes by `n`: group of `n` lanes, and lane in it.
+
+    For up to 2**32 lanes.
 
     A division in double precision, exact because no quotient is nearer to a whole
     number than ``1 / (2 n)``, and much faster than one of integers. The reciprocal is

@@ -4,8 +4,9 @@ One flat BSDF at one incident direction is all that is needed: its functions are
 about the same directions, and what they answer is compared.
 """
 
-import importlib
 from typing import Any
+
+from ..annexes import attribute
 
 COMMANDS = {
     "validate": "Examine a BSDF plugin, and say which function is wrong.",
@@ -13,10 +14,7 @@ COMMANDS = {
     "conformance": "Ask Mitsuba's own plugins under several versions, as a page.",
 }
 PLUGINS: tuple[str, ...] = ()
-OFFERS: dict[str, str] = {}
-
-# Public names by module.
-_module_of = {
+OFFERS = {
     "POLARISED": "questions",
     "PROPERTIES": "questions",
     "Property": "verdict",
@@ -27,14 +25,12 @@ _module_of = {
     "reproducer": "reproducers",
     "save_report": "verdict_page",
     "validate": "examination",
+    "verdict_view": "verdict_page",
 }
-__all__ = [*_module_of]
+# all but what a verdict itself asks for
+__all__ = sorted({*OFFERS} - {"verdict_view"})
 
 
 def __getattr__(name: str) -> Any:
     """Import a public name when it is used: the door itself needs no renderer."""
-    if name not in _module_of:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module = importlib.import_module(f".{_module_of[name]}", __name__)
-    globals()[name] = value = getattr(module, name)
-    return value
+    return attribute(__name__, name)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
+from ..annexes import ask
 from .conditions import Condition
 from .evidence import BIAS, BREAKS, COST, EFFECTS, NOISE, Evidence, Question, Test
 from .maps import FourMaps
@@ -169,9 +170,6 @@ class Verdict:
         What the headline adds if nothing fails.
     """
 
-    # how a verdict shows itself in a notebook: its page sets it
-    viewer: ClassVar[Callable[[Verdict], str]]
-
     name: str
     properties: tuple[Property, ...]
     function: str | None
@@ -268,7 +266,8 @@ class Verdict:
 
     def _repr_html_(self) -> str:
         """Headline and properties, for notebooks."""
-        return Verdict.viewer(self)
+        shown: str = ask("validation", "verdict_view")(self)
+        return shown
 
     def __getitem__(self, name: str) -> Property:
         return {one.name: one for one in self.properties}[name]

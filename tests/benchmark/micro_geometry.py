@@ -16,6 +16,7 @@ from gonio_mi.collector.directions import direction
 from gonio_mi.specimen.rays import SURFACE_OFFSET
 from gonio_mi.specimen.specimen import Specimen
 from gonio_mi.transport.beam import Beam
+from gonio_mi.transport.curve import Curve
 
 from .table import print_table
 from .timing import in_turns, speeds
@@ -98,7 +99,7 @@ def bare_paths(resolution: int, rows: bool) -> Callable[[int, int], float]:
         else:
             sampler = mi.load_dict({"type": "sobol"})
             sampler.seed(seed, rays)
-            sampler.follow_curve()
+            sampler.follow(Curve(0, rays))
         p, wi, *_ = beam.sample(sampler, mi.Color0f())
         ray = mi.Ray3f(p + offset * wi, -wi)
         depth, d = _bounced(specimen.scene, ray, mi.Float(offset))

@@ -552,7 +552,7 @@ def test_a_file_that_cannot_be_saved_costs_no_other(run, tmp_path, monkeypatch):
             raise OSError(28, "No space left on device", path)
         save(record, path)
 
-    monkeypatch.setattr(gonio.Record, "writer", save_all_but_one)
+    monkeypatch.setattr("gonio_mi.files.storage.save", save_all_but_one)
     code, out, err = run(*QUICK, "-o", *paths)
     assert (code, err) == (1, f"gonio-mi: {paths[0]}: No space left on device\n")
     assert "dhr" in out

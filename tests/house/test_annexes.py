@@ -1,5 +1,7 @@
 """The core stands without the annexes, and all else without any one of them."""
 
+import ast
+import importlib
 import os
 import shutil
 import subprocess
@@ -8,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from gonio_mi.annexes import ANNEXES
+from gonio_mi.annexes import ANNEXES, ask
 
 ROOT = Path(__file__).parents[2]
 
@@ -112,6 +114,34 @@ def test_core_alone(tmp_path):
         *(f"tests/core/{one}" for one in CORE.split()),
     )
     assert code == 0, said
+
+
+def asked(source):
+    """Package and name of each call of `ask` in Python code."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "ask":
+            given = [getattr(one, "value", None) for one in node.args[:2]]
+            if all(isinstance(one, str) for one in given):
+                yield tuple(given)
+
+
+def test_what_is_asked_for_is_offered():
+    """And imported; of doors that users do not read nothing else is offered."""
+    found = {
+        each
+        for path in (ROOT / "gonio_mi").rglob("*.py")
+        for each in asked(path.read_text())
+    }
+    assert ("files", "save") in found
+    for package, name in found:
+        assert ask(package, name) is not None
+    packages = {package for package, _ in found}
+    doors = {name: importlib.import_module(f"gonio_mi.{name}") for name in packages}
+    offered = {(name, each) for name, door in doors.items() for each in door.OFFERS}
+    public = {("validation", name) for name in doors["validation"].__all__}
+    assert offered - public == found
+    with pytest.raises(KeyError):  # twin
+        ask("files", "safe")
 
 
 @pytest.mark.parametrize("annex", ANNEXES)

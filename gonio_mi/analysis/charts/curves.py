@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable
 from dataclasses import dataclass
 from os import PathLike
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
+from ...annexes import ask
 from ...array_types import Floats
 from ...files import check_output, replacing
 from ...results.summary_text import aligned
@@ -213,11 +213,11 @@ class Chart:
     reference: Reference
     independent: float
     settings: dict[str, Any]
-    viewer: ClassVar[Callable[[Chart], str]]
 
     def _repr_html_(self) -> str:
         """Picture and numbers, for notebooks."""
-        return Chart.viewer(self)
+        shown: str = ask("analysis", "chart_view")(self)
+        return shown
 
     @property
     def n_patches(self) -> int:

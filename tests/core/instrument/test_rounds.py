@@ -80,7 +80,7 @@ def test_only_rays_that_are_soon_traced_have_long_rounds(monkeypatch):
         settings = SimpleNamespace(batches=batches, n_looks=n_looks, trace=True)
         sampler = mi.load_dict({"type": "sobol"})
         setup = SimpleNamespace(specimen=specimen, settings=settings, sampler=sampler)
-        return launcher.round_rays(setup)
+        return launcher.rays_per_round(setup)
 
     assert [rays(batches=n) for n in (1, 3, 4, 64)] == [2**14, 2**12, 2**12, 2**10]
     assert rays(media=("fog",)) == rays(n_looks=900) == 2**10

@@ -233,9 +233,9 @@ def test_plan_sends_each_ray_of_each_batch_once(shape, n, rays, launches):
             continue
         # along a curve, whose stretches follow each other without a gap
         for piece, after in pairwise(pieces):
-            ends = piece.stretch[1], piece.begin + piece.sizes[0]
-            assert after.stretch[0] in (ends[0], 0)
-            assert after.stretch[0] or after.begin == ends[1]
+            first, end = after.curve.part[0], piece.curve.part[1]
+            assert first in (end, 0)
+            assert first or after.begin == piece.begin + piece.sizes[0]
     sizes = [size for one in planned for size in one.sizes]
     assert sizes == [size for size in part.sizes for _ in setups]
     assert launches == []

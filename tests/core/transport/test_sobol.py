@@ -6,6 +6,7 @@ chi-square is tested on the upper side alone.
 """
 
 import importlib
+import itertools
 import time
 from functools import cache
 from itertools import combinations, pairwise
@@ -31,20 +32,16 @@ from scipy.stats import qmc
 
 import gonio_mi as gonio
 from gonio_mi.instrument import launcher
-from gonio_mi.instrument.launcher import FUSED_BATCHES, LaunchSize, segments
-from gonio_mi.transport import sampling
-from gonio_mi.transport.morton import block_bits, leading_digits
+from gonio_mi.instrument.launcher import LaunchSize
+from gonio_mi.transport import curve, sampling, sobol_points as sobol
+from gonio_mi.transport.curve import MAX_SEQUENCES, Curve, curves
+from gonio_mi.transport.morton import leading_digits
 
 SEEDS = 2**18
 PLASTIC = {"type": "roughplastic", "alpha": 0.2}
 
 
-@pytest.fixture
-def sobol():
-    return importlib.import_module("gonio_mi.plugins.samplers.sobol")
-
-
-def numbers(sobol, index, seed, draw):
+def numbers(index, seed, draw):
     """Scrambled numbers as uint32, for scalars or arrays that broadcast."""
     index, seed = np.broadcast_arrays(np.uint32(index), np.uint32(seed))
     # gathered: what NumPy has allocated may not be aligned, which is another kernel
@@ -67,7 +64,7 @@ def draw_all(sampler, pattern=(2, 1, 2, 1, 1)):
 # ------------------------------------------------------------------ the points
 
 
-def test_unscrambled_points_are_scipys(sobol):
+def test_unscrambled_points_are_scipys():
     n = 2**16
     points = qmc.Sobol(sobol.BLOCK, scramble=False, bits=32).random(n) * 2.0**32
     # SciPy's order is that of the Gray code
@@ -78,7 +75,7 @@ def test_unscrambled_points_are_scipys(sobol):
         assert np.array_equal(ours[gray], points[:, dimension].astype(np.uint32))
 
 
-def test_both_ways_to_a_coordinate_agree(sobol):
+def test_both_ways_to_a_coordinate_agree():
     """In all 32 bits: a matrix when tracing, tables for a draw known to the kernel."""
     index = np.random.default_rng(1).integers(2**32, size=4096, dtype=np.uint32)
     for draw in range(sobol.BLOCK):
@@ -101,7 +98,7 @@ def quality(x, y, m):
     return None
 
 
-def test_scrambling_keeps_the_net(sobol):
+def test_scrambling_keeps_the_net():
     """Every pair of numbers, in any aligned stretch of the sequence and any block."""
     m = 9
     index = 37 * 2**m + np.arange(2**m)
@@ -113,9 +110,7 @@ def test_scrambling_keeps_the_net(sobol):
     pairs = combinations(draws, 2)
     qualities = {(a, b): quality(plain[a], plain[b], m) for a, b in pairs}
     for first in (0, 3 * sobol.BLOCK):
-        mixed = [
-            numbers(sobol, index, 5, first + draw).astype(np.uint64) for draw in draws
-        ]
+        mixed = [numbers(index, 5, first + draw).astype(np.uint64) for draw in draws]
         for (a, b), t in qualities.items():
             assert quality(mixed[a], mixed[b], m) == t
     # the direction of scattering, and the lobe with either of its coordinates
@@ -147,10 +142,10 @@ def flat(*rows):
 
 
 @pytest.mark.parametrize("index", [0, 31_250, 2**31 + 77])
-def test_each_point_is_uniform_over_seeds(sobol, index):
+def test_each_point_is_uniform_over_seeds(index):
     """Unbiased, for any number of rays: in its leading and in its further digits."""
     seeds = np.arange(SEEDS)
-    rows = {d: numbers(sobol, index, seeds, d) for d in (0, 2, 3, 4, 7, 20, 37)}
+    rows = {d: numbers(index, seeds, d) for d in (0, 2, 3, 4, 7, 20, 37)}
     for draw in (0, 3, 4, 37):
         agree(flat(rows[draw]))
         agree(flat(rows[draw] << np.uint32(16)))
@@ -174,11 +169,11 @@ def after_the_split(x, y):
 
 
 @pytest.mark.parametrize("pair", [(0, 1), (5, 7), (40, 2**20 + 40)])
-def test_two_points_are_independent_after_they_part(sobol, pair):
+def test_two_points_are_independent_after_they_part(pair):
     """What Owen's scrambling promises of each pair, and his variance follows from."""
     seeds = np.random.default_rng(3).integers(2**32, size=SEEDS, dtype=np.uint32)
     for draw in (0, 3, 4):
-        x, y = after_the_split(*(numbers(sobol, i, seeds, draw) for i in pair))
+        x, y = after_the_split(*(numbers(i, seeds, draw) for i in pair))
         agree(flat(x, y))
     # twin: a digital shift, the same for all points
     x, y = (np.uint32(i * 0x9E3779B1 % 2**32) ^ seeds for i in pair)
@@ -194,7 +189,7 @@ def welch(a, b):
 # ------------------------------------------------------------------ the curve
 
 
-def test_scrambling_is_undone(sobol):
+def test_scrambling_is_undone():
     """Exact, in the lowest 16 bits, of which no place along a curve has more."""
     x, key = np.random.default_rng(2).integers(2**32, size=(2, 4096), dtype=np.uint32)
     found = sobol.owen_inverse(mi.UInt32(x), mi.UInt32(key))
@@ -207,22 +202,22 @@ def test_scrambling_is_undone(sobol):
     ("base", "bits"),
     [(0, 0), (0, 4), (0, 14), (0, 17), (7, 0), (8, 2), (2**20, 9), (2**32 - 2**12, 12)],
 )
-def test_the_curve_meets_each_point_once(sobol, base, bits):
+def test_the_curve_meets_each_point_once(base, bits):
     """Exact, of any aligned block: in the order of the leading digits of both numbers.
 
     And the three digits behind tell the eighth of the place. The last digits of some
     blocks depend on those before, and tell no points apart.
     """
     seeds = [1, 99]
-    tables = sobol.curve_tables(base, bits, mi.UInt32(seeds), len(seeds))
+    tables = curve.curve_tables(base, bits, mi.UInt32(seeds), len(seeds))
     place = dr.arange(mi.UInt32, 2**bits)
     leading = leading_digits(*sobol.FOOTPRINT, bits)
     assert leading == bits or bits in (4, 14, 17)
     for number, seed in enumerate(seeds):
-        index, eighth = sobol.on_curve(tables, place, mi.UInt32(number), base, bits)
+        index, eighth = curve.on_curve(tables, place, mi.UInt32(number), base, bits)
         met = np.sort(index.numpy().astype(np.int64))
         assert np.array_equal(met, np.arange(base, base + 2**bits))
-        x, y = (numbers(sobol, index.numpy(), seed, draw) for draw in (0, 1))
+        x, y = (numbers(index.numpy(), seed, draw) for draw in (0, 1))
         digits = np.zeros(2**bits, np.int64)
         for digit in range(leading + 3):
             coordinate = (x, y)[digit % 2]
@@ -235,22 +230,22 @@ def test_the_curve_meets_each_point_once(sobol, base, bits):
 
 
 @pytest.mark.parametrize(
-    ("n", "shift"), [(6, 0), (255, 0), (256, 1), (300, 1), (4 * FUSED_BATCHES, 1)]
+    ("n", "shift"), [(6, 0), (255, 0), (256, 1), (300, 1), (4 * MAX_SEQUENCES, 1)]
 )
-def test_groups_are_sorted_by_a_digit(sobol, n, shift):
+def test_groups_are_sorted_by_a_digit(n, shift):
     """Exact, and stable, also in groups of no power of two; of large ones by half."""
     lane = np.arange(n * max(2, 10_000 // n), dtype=np.uint32)
     digit = np.random.default_rng(5).integers(8, size=lane.size, dtype=np.uint32)
     digit[:n] = 7  # all in one group alike
-    (found,) = sobol.sorted_within(n, mi.UInt32(digit), mi.UInt32(lane))
+    (found,) = curve.sorted_within(n, mi.UInt32(digit), mi.UInt32(lane))
     assert np.array_equal(found.numpy(), np.lexsort((lane, digit >> shift, lane // n)))
 
 
 def test_as_many_batches_as_may_share_a_launch():
     """Each point is met once where four of each batch are at one place."""
-    n = FUSED_BATCHES
+    n = MAX_SEQUENCES
     sampler = loaded(seed=mi.UInt32(range(n)), n=16 * n)
-    sequence, number = (x.numpy().astype(int) for x in sampler.follow_curve())
+    sequence, number = (x.numpy().astype(int) for x in sampler.follow(Curve(0, 16, n)))
     assert np.array_equal(np.sort(16 * sequence + number), np.arange(16 * n))
 
 
@@ -265,13 +260,13 @@ def test_stretches_of_the_curve_meet_each_point_once(start, n):
     """
     given = {"seed": mi.UInt32([5, 6, 7]), "n": 3 * n, "start": start}
     apart = draw_all(loaded(**given))
-    length = 3 << block_bits(start, n)
-    bounds = [*range(0, length, length // 3), length]
+    whole = Curve(start, start + n, 3)
+    bounds = [*range(0, whole.rays, whole.rays // 3), whole.rays]
     met = []
     for first, last in pairwise(bounds):
         sampler = loaded(**given)
         sequence, number = (
-            x.numpy().astype(int) for x in sampler.follow_curve(first, last)
+            x.numpy().astype(int) for x in sampler.follow(whole.stretch(first, last))
         )
         wanted = (number >= 0) & (number < n)
         place = (sequence * n + number)[wanted]
@@ -288,14 +283,14 @@ def test_stretches_of_the_curve_meet_each_point_once(start, n):
 @pytest.mark.parametrize(
     ("begin", "end"), [(0, 1), (0, 2**20), (5, 6), (4096, 125_000), (2**32 - 9, 2**33)]
 )
-def test_segments_are_worth_a_block_about_them(begin, end):
+def test_curves_are_worth_a_block_about_them(begin, end):
     """Exact; blocks about what straddles their borders would be mostly empty."""
-    found = list(segments(begin, end, 2**27))
-    assert [a for a, _ in found] == [begin, *(b for _, b in found[:-1])]
-    assert found[-1][1] == end
-    for a, b in found:
-        assert 1 << block_bits(a, b - a) < 2 * (b - a)
-        assert b - a <= 2**27
+    found = list(curves(begin, end, 8, 2))
+    assert [one.begin for one in found] == [begin, *(one.end for one in found[:-1])]
+    assert found[-1].end == end
+    for one in found:
+        assert one.rays < 2 * 8 * (one.end - one.begin)
+        assert one.end - one.begin <= 2**27
 
 
 # ------------------------------------------------------------------ the sampler
@@ -308,7 +303,7 @@ def loaded(name="sobol", seed=0, n=64, start=0):
     return sampler
 
 
-def test_numbers_stay_below_one(sobol):
+def test_numbers_stay_below_one():
     assert sobol.fraction(mi.UInt32(2**32 - 1))[0] == 1 - 2.0**-24
     assert sobol.fraction(mi.UInt32(0))[0] == 0
 
@@ -379,8 +374,10 @@ def brightness(sampler, seeds=24):
     return np.array([np.mean(np.array(image)) for image in images])
 
 
-def test_mitsubas_path_tracer_renders_the_same(sobol):
-    class Stuck(sobol.Sobol):
+def test_mitsubas_path_tracer_renders_the_same():
+    plugin = importlib.import_module("gonio_mi.plugins.samplers.sobol")
+
+    class Stuck(plugin.Sobol):
         """Twin: draws the same two numbers again at each event."""
 
         def next_1d(self, active=True):
@@ -512,11 +509,21 @@ def test_the_clock_decides_about_no_bit(monkeypatch, rays, batches):
         n_parts, parts = hits(speed)
         assert n_parts >= n_whole + 2
         assert parts == whole
-    monkeypatch.setattr(launcher, "chunk_lanes", lambda _: 1)
-    monkeypatch.setattr(
-        LaunchSize, "next_part", lambda _, at, *ab: min(9999, ab[0] - at)
-    )
+
+    def anywhere(whole, _):
+        bounds = [*range(0, whole.rays, 9999), whole.rays]
+        return itertools.starmap(whole.stretch, pairwise(bounds))
+
+    monkeypatch.setattr(Curve, "cut", anywhere)
     assert hits(9999)[1] != whole
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_a_single_ray_along_a_curve(seed):
+    """Exact: it passes by the ball or meets it; with half of the seeds it was lost."""
+    ball = {"type": "sphere", "bsdf": {"type": "conductor"}}
+    settings = {"rays": 1, "batches": 1, "collector": "angle:1x1", "period": "box"}
+    assert gonio.measure(ball, 30, seed=seed, **settings).ledger.emitted == 1
 
 
 @pytest.mark.parametrize("trace", [False, True])
