@@ -22,7 +22,7 @@ from ..instrument.measure import measure_each
 from ..results.record import Record
 from ..settings import MeasurementSettings
 from ..specimen.digest import file_digest, plugins_digest
-from ..specimen.loading import load_plugin_file, load_specimen
+from ..specimen.loading import load_plugin_file, specimen_of
 from ..specimen.specimen import Specimen
 from ..specimen.specimen_text import specimen_name
 from ..threads import drjit_lock, thread_count
@@ -52,15 +52,21 @@ class Task:
     threads: int | None
     arguments: dict[str, Any] = field(hash=False)  # of `measure`, as they were given
 
-    def run(self) -> Record:
-        """Measure, in any process: records of the directions, stacked."""
+    def record(self, loaded: list[Specimen]) -> Record:
+        """Measure, in any process: records of the directions, stacked.
+
+        The specimen is taken out of the list, or loaded and put into it for the next
+        task: who empties it leaves no specimen in the traceback of an error.
+        """
         # threads of one process share Dr.Jit and the variant
         with drjit_lock, _path_kept():
             mi.set_variant(self.variant)
             self._load_plugins()
             with thread_count(self.threads):
-                specimen, incidents = self._located(), self.incidents
-                record = measure_each(specimen, incidents, whole=True, **self.arguments)
+                if not loaded:
+                    loaded.append(self._load())
+                how, incidents = {"whole": True, **self.arguments}, self.incidents
+                record = measure_each(loaded[0], incidents, **how)
         # the same wherever it is measured
         name = specimen_name(self.specimen, self.arguments.get("parameters"))
         return record.with_provenance(specimen=name)
@@ -69,14 +75,12 @@ class Task:
         """Digests of the specimen and the emitter as they are now."""
         with drjit_lock, _path_kept():
             self._load_plugins()
-            period = MeasurementSettings.among(self.arguments).period
-            parameters = self.arguments.get("parameters")
-            scene = load_specimen(self._located(), parameters, period)
-            things, emitter = scene.shapes(), self.arguments.get("emitter")
+            specimen, emitter = self._load(), self.arguments.get("emitter")
+            things = specimen.source.shapes()
             if emitter is not None:
                 things += emitter_scene(None, emitter, None, "front").emitters()
             return {
-                "digest": Specimen(scene).digest,
+                "digest": specimen.digest,
                 "emitter_digest": described_digest(emitter),
                 "plugin_digest": plugins_digest(things),
             }
@@ -91,11 +95,13 @@ class Task:
                     "what is finished is of the old one; start again in another folder"
                 )
 
-    def _located(self) -> Any:
-        """Return the specimen; if it is a file, its path from anywhere."""
-        if isinstance(self.specimen, (str, os.PathLike)):
-            return os.path.join(self.directory, self.specimen)
-        return self.specimen
+    def _load(self) -> Specimen:
+        """Load the specimen; if it is a file, from wherever this process is."""
+        specimen = self.specimen
+        if isinstance(specimen, (str, os.PathLike)):
+            specimen = os.path.join(self.directory, specimen)
+        parameters, period = map(self.arguments.get, ("parameters", "period"))
+        return specimen_of(specimen, parameters, period)
 
 
 @contextlib.contextmanager
@@ -110,12 +116,15 @@ def _path_kept() -> Iterator[None]:
 
 def run_task(task: Task) -> Record:
     """Run a task; a function of the module, so that it can be sent."""
+    loaded: list[Specimen] = []
     try:
-        return task.run()
+        return task.record(loaded)
     except Exception as error:
         failed: Any = error
         failed.frames = frames(error)  # the traceback itself is not sent back
         raise
+    finally:
+        loaded.clear()
 
 
 def tasks_of(

@@ -1,5 +1,7 @@
 """From what a user calls a specimen to a Mitsuba scene, and the files that it names."""
 
+from __future__ import annotations
+
 import contextlib
 import importlib
 import importlib.util
@@ -8,15 +10,13 @@ import os
 import re
 import sys
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextvars import ContextVar
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
 from ..annexes import doors
 from ..errors import (
@@ -32,18 +32,27 @@ from ..errors import (
 )
 from ..files.tensor_file import check_measured
 from ..kernels import launches_kernels
+from ..settings.values import checked_period
 from ..surfaces.height_maps import is_height_map
 from ..surfaces.meshes import is_mesh
 from ..threads import two_threads
 from ..variants import check_variant, is_parallel
+from .scene_objects import own_settings, traversed
 from .shapes import WATERTIGHT, forget, remember, scene_of
-from .specimen_text import CALLED, SpecimenLike, parse_specimen, with_real_indices
+from .specimen import Specimen
+from .specimen_text import (
+    CALLED,
+    SpecimenLike,
+    parse_specimen,
+    specimen_name,
+    with_real_indices,
+)
 
 # Texts that may hold heights or measured values.
 TEXTS = (".txt", ".csv", ".tsv")
 
-# How Mitsuba tells of parameters that a plugin did not read, and endings of plugins.
-UNUSED = re.compile(r'Found \d+ unreferenced \w+ in (\w+) plugin of type "(.+?)":(.*)')
+# Mitsuba's message on parameters that a plugin did not read, and endings of plugins.
+UNUSED = re.compile(r'Found \d+ unreferenced \w+ in \w+ plugin of type "(.+?)":(.*)')
 NAMED = re.compile(r'- \w+ "([^"]+)"')
 PLUGINS = (".so", ".dylib", ".dll", ".py")
 
@@ -87,9 +96,6 @@ MIRROR = {"type": "conductor"}
 # Modules that plugin files have imported from their own folder.
 _imported: list[str] = []
 
-# While tasks are at work in this thread: what was loaded last, and the scene it is.
-_last: ContextVar[list[Any] | None] = ContextVar("_last", default=None)
-
 
 def existing(specimen: str | os.PathLike[str]) -> Path:
     """Path of a specimen that is a file; SpecimenError if there is none."""
@@ -105,64 +111,59 @@ def existing(specimen: str | os.PathLike[str]) -> Path:
     return path
 
 
-@contextlib.contextmanager
-def loaded_once() -> Iterator[None]:
-    """Context in which a specimen, the same object or path, is loaded once in a row."""
-    before = _last.set([])
-    try:
-        yield
-    finally:
-        _last.reset(before)
-
-
 @launches_kernels(is_parallel)
-def load_specimen(
-    specimen: SpecimenLike, parameters: dict[str, Any] | None = None, period: Any = None
-) -> Any:
-    """Load a specimen as a Mitsuba scene.
+def specimen_of(
+    specimen: SpecimenLike | Specimen,
+    parameters: dict[str, Any] | None = None,
+    period: Any = None,
+) -> Specimen:
+    """Load a specimen, at the entrance of whatever is done with it.
 
     Parameters
     ----------
     specimen : dict, mi.BSDF, mi.Scene, str or path
         A dictionary of a BSDF, a shape or a scene; an object; an XML file; or a file of
         heights, which is measured as a mirror. A BSDF is put on a square of 2 x 2 scene
-        units in z = 0.
+        units in z = 0. One that is loaded is returned as it is.
     parameters : dict, optional
         Values for the ``$name`` parameters of an XML file.
     period : {"box", "none"} or (float, float), optional
-        Of the measurement: whether a file of heights is joined at its borders.
+        Of the measurement, which joins the borders of a file of heights. Default: that
+        of the scene's integrator `goniophotometer`, else none.
 
     Returns
     -------
-    mi.Scene
+    Specimen
 
     Raises
     ------
     SpecimenError
-        If Mitsuba cannot load it, or it is none of these.
+        If Mitsuba cannot load it, it is none of these, or it cannot be measured.
     FileFormatError
         If a file that it names is damaged, and Mitsuba would not notice.
     """
-    last, names = _last.get(), (mi.variant(), *(parameters or ()))
-    given = [specimen, period, *(parameters or {}).values()]
-    if last and last[0] == names and all(map(_is_same, last[1], given)):
-        return last[2]
-    if last:
-        last.clear()
-    scene = _scene(specimen, parameters, period)
-    if last is not None:
-        last[:] = names, given, scene
-    return scene
+    if isinstance(specimen, Specimen):
+        return specimen
+    scene, files = _scene(specimen, parameters, period)
+    if period is None:
+        period = own_settings(scene).get("period", "none")
+    period = checked_period("period", period)
+    return Specimen(scene, period, specimen_name(specimen, parameters), files)
 
 
-def _is_same(one: Any, other: Any) -> bool:
-    """Whether two are one object, or the same number or text."""
-    plain = isinstance(one, (str, float, int)) and type(one) is type(other)
-    return one is other or (plain and one == other)
+@launches_kernels(is_parallel)
+def load_specimen(
+    specimen: SpecimenLike, parameters: dict[str, Any] | None = None, period: Any = None
+) -> Any:
+    """Scene of a specimen, with what is no part of it, as of :func:`specimen_of`."""
+    return _scene(specimen, parameters, period)[0]
 
 
-def _scene(specimen: Any, parameters: dict[str, Any] | None, period: Any) -> Any:
-    """Scene of a specimen, loaded anew."""
+def _scene(
+    specimen: Any, parameters: dict[str, Any] | None, period: Any
+) -> tuple[Any, list[tuple[str, float, float]]]:
+    """Scene of a specimen, and the ranges of the measured files that it names."""
+    files: list[tuple[str, float, float]] = []
     if not isinstance(specimen, (mi.Scene, mi.Shape)):
         # kernels hold the numbers of objects, which are those of the ones before then
         forget()
@@ -185,7 +186,7 @@ def _scene(specimen: Any, parameters: dict[str, Any] | None, period: Any) -> Any
     built = isinstance(specimen, dict) or not mi.variant().startswith("llvm")
     if isinstance(specimen, (str, os.PathLike)):
         parameters = {k: str(v) for k, v in (parameters or {}).items()}
-        check_named_files(path, parameters)
+        files = _measured_files(_scene_names(path, {**parameters}))
         # Mitsuba's optimisation would merge shapes into meshes without a bounding box
         parameters |= {"optimize": False}
         specimen = loaded(f"the specimen {path}", mi.load_file, str(path), **parameters)
@@ -193,14 +194,14 @@ def _scene(specimen: Any, parameters: dict[str, Any] | None, period: Any) -> Any
         if not isinstance(specimen.get("type"), str):
             needs = "specimen must have a type, as {'type': 'diffuse'} has"
             raise SpecimenError(f"{needs}, got {shown(specimen)}")
-        check_named_files(specimen)
+        files = _measured_files(_dictionary_names(specimen))
         if specimen.get("type") == "scene":
             specimen = specimen | WATERTIGHT
         specimen = loaded("the specimen", mi.load_dict, specimen, optimize=False)
     if isinstance(specimen, mi.Scene):
         if built:
             remember(specimen)
-        return specimen
+        return specimen, files
     if isinstance(specimen, mi.BSDF):
         specimen = mi.load_dict({"type": "rectangle", "bsdf": specimen})
     elif not isinstance(specimen, mi.Shape):
@@ -214,7 +215,7 @@ def _scene(specimen: Any, parameters: dict[str, Any] | None, period: Any) -> Any
             "an instance must be measured in a scene that holds its shapegroup"
         )
     # built as the specimen will be, so that it is not built twice
-    return loaded("the specimen", scene_of, [specimen])
+    return loaded("the specimen", scene_of, [specimen]), files
 
 
 def loaded(what: str, load: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
@@ -254,10 +255,11 @@ def _with_advice(text: str) -> str:
     if metal := re.search(r'"data/ior/([^"]+)\.eta\.spd": file does not exist', text):
         return _no_metal(metal[1])
     if unused := UNUSED.search(text):
-        kind, plugin, names = unused[1], unused[2], NAMED.findall(unused[3])
-        known, words = _parameters(kind, plugin), _words(plugin) - {*names}
-        similar = [did_you_mean(x, known) or did_you_mean(x, words) for x in names]
-        similar += [f"; it knows {', '.join(known)}"] if known else []
+        plugin, names = unused[1], NAMED.findall(unused[2])
+        manual = _manual_names(plugin)
+        known = sorted((manual or _traversed_names(plugin)) - {*names})
+        similar = [did_you_mean(name, known) for name in names]
+        similar += [f"; it knows {', '.join(known)}"] if manual else []
         # in quotes where spaces would go unseen
         names = [name if name == name.strip() else shown(name) for name in names]
         return (
@@ -315,46 +317,27 @@ def _plugin_files() -> dict[str, Path]:
     return {path.stem: path for path in files if path.suffix in PLUGINS}
 
 
-def _words(plugin: str) -> set[str]:
-    """Words among which a plugin's parameters are.
+def _manual_names(plugin: str) -> set[str]:
+    """Names of the parameters of one of our plugins, by its manual page."""
+    path = _plugin_files().get(plugin, Path())
+    if path.suffix != ".py":
+        return set()
+    rows = " ".join(re.findall(r"\* - ([a-z].+)", path.read_text("utf-8")))
+    return {*re.findall(r"\w+", rows)} - {"or", "and"}
 
-    Of ours they are those of its manual page; of Mitsuba's, the texts in its file, in
-    which some short ones are not; of others, the texts that BSDFs in Python begin with.
+
+def _traversed_names(plugin: str) -> set[str]:
+    """Names that ``mi.traverse`` gives of a plugin, which are most of its parameters.
+
+    None of one that cannot be loaded without any.
     """
-    path = _plugin_files().get(plugin)
-    if path is None:
-        own = [getattr(x.__init__, "__code__", None) for x in mi.BSDF.__subclasses__()]
-        texts = [x for code in filter(None, own) for x in code.co_consts]
-        return {x for x in texts if isinstance(x, str)}
-    text = path.read_bytes().decode(errors="replace")
-    if path.suffix == ".py":
-        rows = " ".join(re.findall(r"\* - ([a-z].+)", text))
-        return {*re.findall(r"\w+", rows)} - {"or", "and"}
-    return {"int_ior", "ext_ior", "k", *re.findall(r"(?<=\0)[a-z]\w{2,}(?=\0)", text)}
-
-
-def _parameters(kind: str, plugin: str) -> list[str]:
-    """Names of a plugin's parameters, as far as they can be found out.
-
-    A BSDF of Mitsuba's is given all words as booleans: it refuses, one after another,
-    those of its parameters that are none, and then Mitsuba lists what was not read.
-    """
-    words = _words(plugin)
-    ours = _plugin_files().get(plugin, Path()).suffix == ".py"
-    if ours or kind != "bsdf" or plugin in NEEDS:
-        return sorted(words) if ours else []
-    found = words & {"specular"}  # which principled refuses beside eta
-    while True:
-        try:
-            mi.load_dict({"type": plugin, **dict.fromkeys(words - found, False)})
-            return sorted(words)
-        except RuntimeError as error:
-            if unread := NAMED.findall(str(error)):
-                return sorted(words - {*unread})
-            refused = words & {*re.findall(r"""['"](\w+)['"]""", str(error))} - found
-        if not refused:  # it needs what is not known
-            return []
-        found |= refused
+    if plugin in NEEDS:
+        return set()
+    try:
+        found = traversed(mi.load_dict({"type": plugin})).properties
+    except Exception:  # one in Python may raise anything
+        return set()
+    return {key.partition(".")[0] for key in found}
 
 
 def _as_loaded(node: Any) -> Any:
@@ -483,51 +466,17 @@ def surface_specimen(
 MAX_INCLUDES = 15
 
 
-def check_named_files(
-    specimen: Mapping[str, Any] | str | os.PathLike[str],
-    parameters: Mapping[str, str] | None = None,
-    wavelengths: Sequence[float] = (),
-) -> None:
-    """Raise if a damaged file would crash Mitsuba's plugin `measured`.
+def _measured_files(
+    names: Iterable[str | Path],
+) -> list[tuple[str, float, float]]:
+    """Names of the files for Mitsuba's plugin `measured`, and their ranges in nm.
 
-    Or if it has no data at one of the `wavelengths`, beyond which it goes on with its
-    last ones.
-
-    Names that are not found are left to Mitsuba, and so are scene files that are not
-    XML.
-
-    Parameters
-    ----------
-    specimen : dict, str or path
-        Dictionary or scene file, as Mitsuba loads it.
-    parameters : dict, optional
-        Values of the ``$name`` parameters of a scene file.
-    wavelengths : sequence of float
-        In nm, of a measurement in a spectral variant.
-
-    Raises
-    ------
-    FileFormatError
-        If a file is damaged.
-    SpecimenError
-        If its data do not cover the wavelengths.
+    FileFormatError if one is damaged, which would crash Mitsuba. Names that are not
+    found are left to Mitsuba, and so are scene files that are not XML.
     """
-    if isinstance(specimen, Mapping):
-        names = _dictionary_names(specimen)
-    else:
-        names = _scene_names(Path(specimen), dict(parameters or {}))
-    for name in names:
-        path = Path(str(mi.file_resolver().resolve(str(name))))
-        if path.is_file():
-            low, high = check_measured(path) or (0.0, np.inf)
-            # in the single precision of Mitsuba's
-            singles = np.array(wavelengths, np.float32).astype(float)
-            beyond = [nm for nm, x in zip(wavelengths, singles) if not low <= x <= high]
-            if beyond:
-                raise SpecimenError(
-                    f"{path.name} covers the wavelengths from {low:g} to {high:g} nm, "
-                    f"got {beyond[0]:g} nm"
-                )
+    paths = [Path(str(mi.file_resolver().resolve(str(name)))) for name in names]
+    found = [(path.name, check_measured(path)) for path in paths if path.is_file()]
+    return [(name, *covered) for name, covered in found if covered]
 
 
 def _dictionary_names(node: Mapping[str, Any]) -> Iterator[str | Path]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import FrozenInstanceError
 from functools import cached_property
 from typing import Any
 
@@ -17,12 +18,14 @@ from ..errors import SpecimenError, abridged, warn
 from ..kernels import in_memory
 from ..mitsuba_compat import MINIMAL, SURFACE, has_normals, recompute_box
 from ..settings.values import Period
+from .bsdf_trial import check_works, warn_of_roughness
 from .digest import digest
-from .media import media_of
+from .media import check_media, media_of, phase_defect
 from .plane import Plane
 from .rays import RETREAT, START, SURFACE_OFFSET, escapes, intersect
-from .scene_objects import holds_foreign_plugins, traversed
+from .scene_objects import holds_foreign_plugins, own_settings, traversed
 from .shapes import (
+    Corners,
     bounds,
     encloses_medium,
     farthest,
@@ -35,6 +38,7 @@ from .shapes import (
     transmits,
     walls_in_sides,
 )
+from .wavelengths import check_covered, check_files_cover, lanes_of
 
 # Rays that look for gaps, surfaces that each of them passes, and the part of them that
 # meets thin ones from which on it is worth a warning: near the edges of rough glass
@@ -96,11 +100,14 @@ class Box:
 
 
 class Specimen:
-    """The shapes of `scene` that emit nothing.
+    """The shapes of a scene that emit nothing: what is known of them is found once.
+
+    It is frozen, and no dataclass, which Dr.Jit would take apart in recorded loops.
 
     Parameters
     ----------
-    scene : mi.Scene
+    source : mi.Scene
+        With its emitters, sensors and integrator.
     period : {"none", "box"} or (float, float)
         ``"none"``: the geometry is all there is. ``"box"``: its bounding box is a cell
         of an infinite surface, and what leaves through a side of it enters again
@@ -108,35 +115,9 @@ class Specimen:
         about the middle of the box; geometry beyond it reaches into the next ones.
     name : str
         What its user calls it.
-
-    Attributes
-    ----------
-    scene : mi.Scene
-        Specimen only: emitters do not stand in the way of what they light.
-    groups : list of mi.Shape
-        The shape groups that its instances repeat.
-    surfaces : list of mi.Shape
-        What light meets: shapes that are no instances, and what is in the groups.
-    media : list of mi.Medium
-        On either side of these.
-    low, high : ndarray, shape (3,)
-        Corners of the bounding box of the surfaces, in scene units; in x and y those of
-        the cell, if there is one.
-    box : Box
-        The same for kernels.
-    periodic : bool
-        Whether there is one.
-    shifts : ndarray, shape (n, 3)
-        From the geometry to each of its copies that reach into the cell.
-    plane : Plane or None
-        Set if the specimen is one flat rectangle, not periodic and without a medium.
-    description : str
-        Shapes and BSDFs in Mitsuba's words.
-    transmits : bool
-        Whether light may reach the other side, for all that is declared: true unless
-        the specimen is a flat rectangle whose BSDF has no transmitting component.
-    closed_to_light : bool
-        Whether no shape's BSDF has one.
+    files : sequence of (str, float, float)
+        Name of each measured file that it reads, and the first and last wavelength of
+        its data in nm.
 
     Raises
     ------
@@ -145,51 +126,161 @@ class Specimen:
         into which too many copies of the geometry reach.
     """
 
+    source: mi.Scene
+    period: Period
+    name: str
+    files: Sequence[tuple[str, float, float]]
+
     def __init__(
-        self, scene: mi.Scene, period: Period = "none", name: str = "a scene"
+        self,
+        source: mi.Scene,
+        period: Period = "none",
+        name: str = "a scene",
+        files: Sequence[tuple[str, float, float]] = (),
     ) -> None:
-        self.name = name
-        everything = scene.shapes()
-        shapes = [shape for shape in everything if not shape.is_emitter()]
-        if not shapes:
+        vars(self).update(source=source, period=period, name=name, files=files)
+        if not self._shapes:
             raise SpecimenError(
                 "the scene must contain a shape to measure, got none: a BSDF alone "
                 "must be the root of its file, <bsdf ...> in place of <scene ...>"
             )
-        self.groups = groups_of(scene)
-        self.surfaces = surfaces_of(shapes, self.groups)
-        for shape in self.surfaces:
+        _ = self.scene
+        if self.periodic:
+            self._check_walls()
+        self._check_extent()
+        _ = self.box  # which no kernel that is being recorded can make
+        if self.plane is None:
+            self._warn_of_distance()
+        if any(map(holds_foreign_plugins, self._shapes)):
+            _ = self.digest  # before plugins are called, which may count that
+        _ = self.description
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise FrozenInstanceError(f"a specimen has no {name} to be set")
+
+    @property
+    def own_settings(self) -> dict[str, Any]:
+        """Settings that its scene asks for, if that is a complete measurement."""
+        return own_settings(self.source)
+
+    @cached_property
+    def _shapes(self) -> list[mi.Shape]:
+        """Shapes of the scene that emit nothing."""
+        return [shape for shape in self.source.shapes() if not shape.is_emitter()]
+
+    @cached_property
+    def groups(self) -> list[mi.Shape]:
+        """Shape groups that its instances repeat."""
+        return groups_of(self.source)
+
+    @cached_property
+    def surfaces(self) -> list[mi.Shape]:
+        """Shapes that light meets: those that are no instances, and the groups'."""
+        surfaces = surfaces_of(self._shapes, self.groups)
+        for shape in surfaces:
             if isinstance(shape, mi.Mesh) and not shape.bbox().valid():
                 # merged from others by Mitsuba 3.9.1, which forgets to
                 recompute_box(shape)
-        self.media = media_of(self.surfaces)
-        self.scene = scene = scene_of(shapes, self.groups)
-        self.low, self.high = bounds(shapes)
-        if not (np.isfinite(self.low).all() and np.isfinite(self.high).all()):
+        return surfaces
+
+    @cached_property
+    def media(self) -> list[mi.Medium]:
+        """Media on either side of the surfaces."""
+        return media_of(self.surfaces)
+
+    @cached_property
+    def scene(self) -> mi.Scene:
+        """Scene of the specimen only: emitters do not block their own light."""
+        _ = self.surfaces  # with boxes
+        return scene_of(self._shapes, self.groups)
+
+    @property
+    def periodic(self) -> bool:
+        """Whether it is a cell of an infinite surface."""
+        return self.period != "none"
+
+    @cached_property
+    def _corners(self) -> tuple[Corners, Floats]:
+        """Lower and upper corner of the box, or of the cell, and shifts into it."""
+        low, high = bounds(self._shapes)
+        if not (np.isfinite(low).all() and np.isfinite(high).all()):
             raise SpecimenError(
-                f"the specimen must be of finite size, got {self.low} to {self.high}"
+                f"the specimen must be of finite size, got {low} to {high}"
             )
-        self.periodic = period != "none"
-        self.shifts = np.zeros((1, 3))
+        shifts = np.zeros((1, 3))
         if self.periodic:
-            self._set_cell(period)
-            self._check_walls()
-        self._check_extent()
-        self.box = Box(self)
-        self.closed_to_light = not any(map(transmits, self.surfaces))
-        traced = self.periodic or self.media
-        self.plane: Any = None if traced else self._plane(shapes)
-        if self.plane is None:
-            self._warn_of_distance()
-        self.transmits = self.plane is None or mi.has_flag(
+            extent = (high - low)[:2]
+            cell: Any = extent if self.period == "box" else np.array(self.period)
+            wide = cell < extent * (1 - 2.0**-20)
+            if np.any(wide):
+                shifts = self._copies(extent, cell, wide)
+            # where cell and geometry are equal, to the bit
+            alike = ~wide & (cell < extent * (1 + 2.0**-20))
+            margin = (np.where(alike, extent, cell) - extent) / 2
+            low[:2] -= margin
+            high[:2] += margin
+        return (low, high), shifts
+
+    @property
+    def low(self) -> Floats:
+        """Lower corner of the bounding box in scene units; in x and y, of the cell."""
+        return self._corners[0][0]
+
+    @property
+    def high(self) -> Floats:
+        """Upper corner, likewise."""
+        return self._corners[0][1]
+
+    @property
+    def shifts(self) -> Floats:
+        """Shifts of the copies that reach into the cell, shape (n, 3)."""
+        return self._corners[1]
+
+    @cached_property
+    def box(self) -> Box:
+        """The same for kernels."""
+        return Box(self)
+
+    @cached_property
+    def closed_to_light(self) -> bool:
+        """Whether no shape's BSDF has a transmitting component."""
+        return not any(map(transmits, self.surfaces))
+
+    @cached_property
+    def plane(self) -> Any:
+        """:class:`Plane` of a single rectangle parallel to z = 0, without a medium.
+
+        None of anything else, and of a periodic one.
+        """
+        (shape, *others), (low, high) = self._shapes, self._corners[0]
+        if self.periodic or self.media or others or shape.class_name() != "Rectangle":
+            return None
+        if low[2] != high[2]:
+            return None
+        above = mi.Point3f(((low + high) / 2 + [0, 0, 1]).tolist())
+        ray = mi.Ray3f(above, mi.Vector3f(0, 0, -1))
+        si = intersect(self.scene, ray, SURFACE, True)
+        dr.make_opaque(si)
+        bsdf = shape.bsdf()
+        return Plane(bsdf, si, by_ray=holds_foreign_plugins(bsdf))
+
+    @cached_property
+    def transmits(self) -> bool:
+        """Whether light may reach the other side, for all that is declared.
+
+        Only a flat rectangle whose BSDF has no transmitting component lets none pass.
+        """
+        return self.plane is None or mi.has_flag(
             self.plane.bsdf.flags(), mi.BSDFFlags.Transmission
         )
-        if any(map(holds_foreign_plugins, shapes)):
-            self.digest  # noqa: B018, before plugins are called, which may count that
+
+    @cached_property
+    def description(self) -> str:
+        """Shapes and BSDFs in Mitsuba's words."""
         parts = list(map(_describe, self.surfaces[:4]))
         if len(self.surfaces) > 4:
             parts.append(f"and {len(self.surfaces) - 4} more shapes")
-        self.description = "; ".join(parts)
+        return "; ".join(parts)
 
     @cached_property
     def measured_patches(self) -> tuple[Subdivision | None, ...]:
@@ -269,6 +360,59 @@ class Specimen:
         ray = mi.Ray3f(start, -side * d)
         dr.eval(ray)
         return ray
+
+    def tried(
+        self, wavelengths: Sequence[float], functions: Callable[[Any], set[str]]
+    ) -> tuple[str, ...]:
+        """Sentences on what is wrong with the specimen but is measured nevertheless.
+
+        They are found, with a warning of each, when they are first asked for.
+
+        Parameters
+        ----------
+        wavelengths : sequence of float
+            In nm, of a spectral variant.
+        functions : callable
+            Names of the functions that are asked of a BSDF.
+
+        Raises
+        ------
+        SpecimenError
+            If it has no data at a wavelength, or a medium that light cannot reach.
+        Exception
+            Whatever a BSDF raises.
+        """
+        key = tuple(wavelengths), functions
+        if key not in self._trials:
+            self._trials[key] = self._try(*key)
+        return self._trials[key]
+
+    @cached_property
+    def _trials(self) -> dict[Any, tuple[str, ...]]:
+        """Defects that were found: directions and orders share them."""
+        return {}
+
+    def _try(
+        self, wavelengths: Sequence[float], functions: Callable[[Any], set[str]]
+    ) -> tuple[str, ...]:
+        """Try its BSDFs and media, and look for gaps."""
+        lanes = lanes_of(wavelengths)
+        bsdfs = [surface.bsdf() for surface in self.surfaces]
+        if mi.is_spectral:
+            check_files_cover(self.files, wavelengths)
+        check_works(bsdfs, lanes[0], functions)
+        warn_of_roughness(bsdfs)
+        if mi.is_spectral:
+            check_covered([*bsdfs, *self.media], wavelengths)
+        if self.media:
+            check_media(self, lanes)
+        phases = [medium.phase_function() for medium in self.media]
+        box = self.low, self.high
+        found = filter(None, (phase_defect(phase, lanes[0], *box) for phase in phases))
+        sentences = tuple(dict.fromkeys([*self.thin_gaps(), *found]))
+        for sentence in sentences:
+            warn(sentence)
+        return sentences
 
     def thin_gaps(self) -> list[str]:
         """Sentence on surfaces so near to another that light may pass it unseen.
@@ -412,22 +556,8 @@ class Specimen:
                 "walls, for they send light astray and back"
             )
 
-    def _set_cell(self, period: Period) -> None:
-        """Put the cell's sides into the place of the bounding box's."""
-        extent = (self.high - self.low)[:2]
-        cell: Any = extent if period == "box" else np.array(period)
-        wide = cell < extent * (1 - 2.0**-20)
-        if np.any(wide):
-            self._set_copies(extent, cell, wide)
-        # where cell and geometry are equal, to the bit
-        alike = ~wide & (cell < extent * (1 + 2.0**-20))
-        cell = np.where(alike, extent, cell)
-        margin = (cell - extent) / 2
-        self.low[:2] -= margin
-        self.high[:2] += margin
-
-    def _set_copies(self, extent: Floats, cell: Floats, wide: Flags) -> None:
-        """Set the shifts of the copies that reach into the cell or touch it."""
+    def _copies(self, extent: Floats, cell: Floats, wide: Flags) -> Floats:
+        """Shifts of the copies that reach into the cell or touch it."""
         if not all(medium.is_homogeneous() for medium in self.media):
             raise SpecimenError(
                 "period must hold the geometry of a medium that varies, which is "
@@ -442,21 +572,7 @@ class Specimen:
                 f"got {cell[0]:g} x {cell[1]:g} and {n} copies"
             )
         x, y = (size * np.arange(-k, k + 1) for size, k in zip(cell, most))
-        self.shifts = np.array([(a, b, 0.0) for a in x for b in y])
-
-    def _plane(self, shapes: Sequence[mi.Shape]) -> Plane | None:
-        """:class:`Plane` if the specimen is a single rectangle parallel to z = 0."""
-        if len(shapes) > 1 or shapes[0].class_name() != "Rectangle":
-            return None
-        if self.low[2] != self.high[2]:
-            return None
-        centre = (self.low + self.high) / 2
-        above = mi.Point3f((centre + [0, 0, 1]).tolist())
-        ray = mi.Ray3f(above, mi.Vector3f(0, 0, -1))
-        si = intersect(self.scene, ray, SURFACE, True)
-        dr.make_opaque(si)
-        bsdf = shapes[0].bsdf()
-        return Plane(bsdf, si, by_ray=holds_foreign_plugins(bsdf))
+        return np.array([(a, b, 0.0) for a in x for b in y])
 
 
 def _number(shapes: mi.ShapePtr) -> Integers:
