@@ -53,10 +53,10 @@ class Task:
     arguments: dict[str, Any] = field(hash=False)  # of `measure`, as they were given
 
     def record(self, loaded: list[Specimen]) -> Record:
-        """Measure, in any process: records of the directions, stacked.
+        """Measure in any process; return the stack of all directions.
 
-        The specimen is taken out of the list, or loaded and put into it for the next
-        task: who empties it leaves no specimen in the traceback of an error.
+        The specimen is that in the list, or is loaded into it for the next task. The
+        caller clears the list, so that the traceback of an error keeps no specimen.
         """
         # threads of one process share Dr.Jit and the variant
         with drjit_lock, _path_kept():
@@ -67,12 +67,12 @@ class Task:
                     loaded.append(self._load())
                 how, incidents = {"whole": True, **self.arguments}, self.incidents
                 record = measure_each(loaded[0], incidents, **how)
-        # the same wherever it is measured
+        # the same in every folder and process
         name = specimen_name(self.specimen, self.arguments.get("parameters"))
         return record.with_provenance(specimen=name)
 
     def digests(self) -> dict[str, str | None]:
-        """Digests of the specimen and the emitter as they are now."""
+        """Current digests of the specimen, the emitter and their plugins."""
         with drjit_lock, _path_kept():
             self._load_plugins()
             specimen, emitter = self._load(), self.arguments.get("emitter")
@@ -96,7 +96,7 @@ class Task:
                 )
 
     def _load(self) -> Specimen:
-        """Load the specimen; if it is a file, from wherever this process is."""
+        """Load the specimen; a file, from any working directory."""
         specimen = self.specimen
         if isinstance(specimen, (str, os.PathLike)):
             specimen = os.path.join(self.directory, specimen)
@@ -106,7 +106,7 @@ class Task:
 
 @contextlib.contextmanager
 def _path_kept() -> Iterator[None]:
-    """Context of plugin files, whose folder Python searches first until the end."""
+    """Restore the search path that plugin files change."""
     before = sys.path[:]
     try:
         yield
@@ -155,7 +155,7 @@ def tasks_of(
 
 
 def check_picklable(tasks: Sequence[Task]) -> None:
-    """Raise ValueError for a specimen or setting that other processes cannot get."""
+    """Raise ValueError for a specimen or setting that cannot be pickled."""
     copyreg.pickle(mi.ScalarTransform4f, _sent)  # of meshes, which cannot by themselves
     for task in tasks:
         for label, value in {task.name: task.specimen, **task.arguments}.items():
@@ -169,12 +169,12 @@ def check_picklable(tasks: Sequence[Task]) -> None:
 
 
 def _sent(transform: Any) -> tuple[Any, ...]:
-    """What a transform is made of in another process."""
+    """Pickle a transform for another process."""
     return _received, (np.array(transform.matrix).tolist(), mi.variant())
 
 
 def _received(matrix: list[list[float]], variant: str) -> Any:
-    """Transform, in a process that may not have the variant of its task yet."""
+    """Unpickle a transform, before the task has set its variant if need be."""
     if mi.variant() is None:
         mi.set_variant(variant)
     return mi.ScalarTransform4f(matrix)

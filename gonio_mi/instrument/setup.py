@@ -49,23 +49,23 @@ def set_up(
     ----------
     specimen : Specimen
     settings : MeasurementSettings
-        Of the period of the specimen.
+        With the period of the specimen.
     incidents : sequence of (float, float) or None
         In degrees; None for an emitter as it is.
     emitter : dict, optional
-        Instead of that of the specimen's scene, or of a collimated beam.
+        In place of the scene's emitter, or of a collimated beam.
     orders : sequence of Order
-        To be collected apart.
+        Collected separately.
 
     Returns
     -------
     list of Setup
-        Their settings are those given, with the estimator that was chosen for ``auto``.
+        With these settings, and the estimator that was chosen for ``auto``.
 
     Raises
     ------
     TypeError, ValueError, SpecimenError, LookupError
-        If a specimen, emitter, collector or sampler does not go with the others, and
+        If the specimen, emitter, collector and sampler do not fit together; and
         whatever a BSDF of the specimen raises.
     """
     sampler = _loaded_sampler(settings)
@@ -77,7 +77,7 @@ def set_up(
     def lit(
         settings: MeasurementSettings, incident: tuple[float, float] | None
     ) -> Setup:
-        """The specimen, lit from a direction, or by the emitter as it is."""
+        """Setup with a beam from a direction, or with the emitter as it is."""
         source, beam = None, _collimated_beam(specimen, settings, emitter, incident)
         if beam is None:
             source = emitter_scene(specimen.source, emitter, incident, settings.side)
@@ -131,19 +131,19 @@ def _collector(specimen: Specimen, settings: MeasurementSettings) -> CollectorSp
 
 
 def _short_run(setup: Setup, each: int) -> Tally:
-    """Batches of so many rays."""
+    """Tally of a short run with `each` rays per batch."""
     part = Round((each,) * setup.settings.batches)
     return Tally.join([tally for (tally,) in Launcher([setup]).tallies([setup], part)])
 
 
-# Of the patches of a collector, by how much those of the material may be larger.
+# Median ratio of the material's patches to the collector's that is no warning.
 MAX_LARGER = 2.0
 
 
 def _warn_of_finer_patches(specimen: Specimen, settings: MeasurementSettings) -> None:
     """Warn if most patches are finer than those in which the material was measured.
 
-    Not of single receptors: what these may get, a quantity bounds.
+    Not for single receptors, whose error a quantity bounds.
     """
     measured = specimen.measured_patches[int(settings.side == "back")]
     if measured is None or settings.collector.axes is not None:
@@ -161,7 +161,7 @@ def _warn_of_finer_patches(specimen: Specimen, settings: MeasurementSettings) ->
 
 
 def _defects(specimen: Specimen, settings: MeasurementSettings) -> tuple[str, ...]:
-    """Defects of a specimen; raise what it raises, or if the estimator is none."""
+    """Try the specimen, and check the estimator; return its defects."""
     method = METHODS[settings.estimator]
     defects = specimen.tried(settings.wavelengths, method.functions)
     if specimen.media and not method.follows_exits:
@@ -179,7 +179,7 @@ def _collimated_beam(
     emitter: object,
     incident: tuple[float, float] | None,
 ) -> Beam | None:
-    """Collimated light from a direction; None where an emitter is to be taken."""
+    """Collimated beam from a direction; None if an emitter is used instead."""
     if emitter is not None or incident is None:
         return None
     vector = towards(incident, settings.side)
@@ -189,7 +189,7 @@ def _collimated_beam(
 def _beam(
     specimen: Specimen, settings: MeasurementSettings, emitters: Sequence[mi.Emitter]
 ) -> Beam:
-    """Light of the one emitter, at wavelengths that it has."""
+    """Beam of the scene's only emitter, whose spectra cover the wavelengths."""
     if any(emitter.get_medium() is not None for emitter in emitters):
         raise SpecimenError("the emitter must stand in air, got one inside of a medium")
     if len(emitters) != 1:
@@ -209,7 +209,7 @@ def _beam(
 
 
 def _loaded_sampler(settings: MeasurementSettings) -> mi.Sampler:
-    """Sampler of the settings; one that would measure wrongly is refused."""
+    """Sampler of the settings; raise for one that would bias the results."""
     sampler = settings.sampler or {"type": "sobol"}
     if isinstance(sampler, dict):
         sampler = loaded("the sampler", mi.load_dict, sampler)

@@ -1,4 +1,4 @@
-"""From what a user calls a specimen to a Mitsuba scene, and the files that it names."""
+"""Load specimens from a word, file, dictionary or object, and the files they name."""
 
 from __future__ import annotations
 
@@ -48,22 +48,21 @@ from .specimen_text import (
     with_real_indices,
 )
 
-# Texts that may hold heights or measured values.
+# Endings of text files that may hold heights or measured values.
 TEXTS = (".txt", ".csv", ".tsv")
 
-# Mitsuba's message on parameters that a plugin did not read, and endings of plugins.
+# Mitsuba's message on parameters that a plugin does not read, and endings of plugins.
 UNUSED = re.compile(r'Found \d+ unreferenced \w+ in \w+ plugin of type "(.+?)":(.*)')
 NAMED = re.compile(r'- \w+ "([^"]+)"')
 PLUGINS = (".so", ".dylib", ".dll", ".py")
 
-
-# Plugins that end the process without a property: what they need, and by which names.
+# Plugins that crash Mitsuba without a property: what they need, and its names.
 NEEDS: dict[str, tuple[str, set[str]]] = {
     "blendbsdf": ("a weight and two nested BSDFs", set()),
     "bitmap": ("a filename or a bitmap", {"filename", "bitmap", "data"}),
 }
 
-# Words for what Mitsuba knows by its symbol.
+# Metals that Mitsuba knows by their symbols only.
 METALS = {
     "aluminium": "Al",
     "aluminum": "Al",
@@ -78,8 +77,8 @@ METALS = {
     "tungsten": "W",
 }
 
-# What Mitsuba puts before messages that say it all: its source positions, the root of
-# a dictionary, the search for a plugin, and the frame around our own plugins' errors.
+# Parts of Mitsuba's messages that tell a user nothing: source positions, the root of a
+# dictionary, the search for a plugin, and the frame around our own plugins' errors.
 FRAMES = re.compile(
     r"\[\w+\.(cpp|h):\d+\] ?"
     r'|(At|While loading) dictionary node "root": '
@@ -89,16 +88,16 @@ FRAMES = re.compile(
     r'goniophotometer|heightfield|patches|sobol|stl)": \w+: '
 )
 
-# What a map of heights is made of, unless it is said: every facet reflects all light,
-# so that the record tells the shape alone.
+# Default material of a height map: every facet reflects all light, so the record shows
+# the shape alone.
 MIRROR = {"type": "conductor"}
 
-# Modules that plugin files have imported from their own folder.
+# Modules that plugin files imported from their own folders.
 _imported: list[str] = []
 
 
 def existing(specimen: str | os.PathLike[str]) -> Path:
-    """Path of a specimen that is a file; SpecimenError if there is none."""
+    """Path of a specimen file; raise SpecimenError if it does not exist."""
     path = Path(specimen)
     if not path.is_file():
         word = os.fspath(specimen)
@@ -117,19 +116,19 @@ def specimen_of(
     parameters: dict[str, Any] | None = None,
     period: Any = None,
 ) -> Specimen:
-    """Load a specimen, at the entrance of whatever is done with it.
+    """Load and describe a specimen: the first step of every measurement.
 
     Parameters
     ----------
     specimen : dict, mi.BSDF, mi.Scene, str or path
         A dictionary of a BSDF, a shape or a scene; an object; an XML file; or a file of
         heights, which is measured as a mirror. A BSDF is put on a square of 2 x 2 scene
-        units in z = 0. One that is loaded is returned as it is.
+        units in z = 0. A loaded specimen is returned as it is.
     parameters : dict, optional
         Values for the ``$name`` parameters of an XML file.
     period : {"box", "none"} or (float, float), optional
-        Of the measurement, which joins the borders of a file of heights. Default: that
-        of the scene's integrator `goniophotometer`, else none.
+        It joins the borders of a file of heights. Default: the period of the scene's
+        integrator `goniophotometer`, else none.
 
     Returns
     -------
@@ -138,9 +137,9 @@ def specimen_of(
     Raises
     ------
     SpecimenError
-        If Mitsuba cannot load it, it is none of these, or it cannot be measured.
+        If it is none of these, or cannot be loaded or measured.
     FileFormatError
-        If a file that it names is damaged, and Mitsuba would not notice.
+        If it names a damaged file that would crash Mitsuba.
     """
     if isinstance(specimen, Specimen):
         return specimen
@@ -155,17 +154,17 @@ def specimen_of(
 def load_specimen(
     specimen: SpecimenLike, parameters: dict[str, Any] | None = None, period: Any = None
 ) -> Any:
-    """Scene of a specimen, with what is no part of it, as of :func:`specimen_of`."""
+    """Scene of a specimen, emitters and sensors included; see :func:`specimen_of`."""
     return _scene(specimen, parameters, period)[0]
 
 
 def _scene(
     specimen: Any, parameters: dict[str, Any] | None, period: Any
 ) -> tuple[Any, list[tuple[str, float, float]]]:
-    """Scene of a specimen, and the ranges of the measured files that it names."""
+    """Load the scene of a specimen; return it with the ranges of its measured files."""
     files: list[tuple[str, float, float]] = []
     if not isinstance(specimen, (mi.Scene, mi.Shape)):
-        # kernels hold the numbers of objects, which are those of the ones before then
+        # frees the numbers of the last objects: kernels contain them, and fit the next
         forget()
     if isinstance(specimen, (str, os.PathLike)):
         path = existing(specimen)
@@ -173,7 +172,7 @@ def _scene(
             specimen = surface_specimen(path, period=period)
         elif is_mesh(path):
             raise SpecimenError(
-                f"the mesh {path.name} must come with what it is made of, such as "
+                f"the mesh {path.name} must come with its material, such as "
                 "--bsdf diffuse:reflectance=0.7 or gonio.mesh(path, bsdf)"
             )
         elif path.suffix.lower() in TEXTS:
@@ -182,7 +181,7 @@ def _scene(
                 "known by the ending .asc, and measured values go to gonio-mi compare "
                 "or fit"
             )
-    # built as the specimen will be: with an option for Embree, which OptiX does without
+    # with the options of `scene_of`: one for Embree, and none for OptiX
     built = isinstance(specimen, dict) or not mi.variant().startswith("llvm")
     if isinstance(specimen, (str, os.PathLike)):
         parameters = {k: str(v) for k, v in (parameters or {}).items()}
@@ -214,15 +213,15 @@ def _scene(
         raise SpecimenError(
             "an instance must be measured in a scene that holds its shapegroup"
         )
-    # built as the specimen will be, so that it is not built twice
+    # as the specimen will be built, so that it is not built twice
     return loaded("the specimen", scene_of, [specimen]), files
 
 
 def loaded(what: str, load: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
-    """Return ``load(*args, **kwargs)``; if that fails, say why in one sentence.
+    """Return ``load(*args, **kwargs)``; report a failure in one sentence.
 
-    Plugins are built one after another: one that calls :func:`mi.load_dict` as it is
-    built changes, and in the end frees, the paths in which all others look for files.
+    Plugins are built one after another: one that calls :func:`mi.load_dict` in its
+    constructor changes, and finally frees, the paths in which others look for files.
     """
     if load is not scene_of:
         kwargs |= {"parallel": False}
@@ -242,7 +241,7 @@ def loaded(what: str, load: Callable[..., Any], *args: Any, **kwargs: Any) -> An
 
 
 def _with_advice(text: str) -> str:
-    """Mitsuba's message with what would mend it, where that is known."""
+    """Mitsuba's message, with a remedy where one is known."""
     if advice := _without_base(text):
         return advice
     if missing := re.search(r'Plugin "([^"]+)" not found', text):
@@ -260,7 +259,7 @@ def _with_advice(text: str) -> str:
         known = sorted((manual or _traversed_names(plugin)) - {*names})
         similar = [did_you_mean(name, known) for name in names]
         similar += [f"; it knows {', '.join(known)}"] if manual else []
-        # in quotes where spaces would go unseen
+        # in quotes where spaces would be invisible
         names = [name if name == name.strip() else shown(name) for name in names]
         return (
             f"{text[: unused.start()]}the plugin {plugin} has no use for "
@@ -270,9 +269,9 @@ def _with_advice(text: str) -> str:
 
 
 def _without_base(text: str) -> str:
-    """Message on a plugin whose class did not initialise its base; empty for others.
+    """Message on a plugin class that does not initialise its base; empty for others.
 
-    Mitsuba finds no object in it, or no place for what its constructor sets.
+    Mitsuba finds no object in it, or cannot store the attributes it sets.
     """
     failed = re.search(r'unknown plugin of type "([^"]+)": (.*)', text)
     if failed is None:
@@ -293,13 +292,13 @@ def _without_base(text: str) -> str:
 
 
 def _subclasses(base: Any) -> Iterator[Any]:
-    """Classes that derive from one, directly or not."""
+    """Direct and indirect subclasses."""
     for one in base.__subclasses__():
         yield from (one, *_subclasses(one))
 
 
 def _no_metal(word: str) -> str:
-    """Message on a material of conductors that Mitsuba has no data of."""
+    """Message on a conductor's material that Mitsuba has no data for."""
     folder = Path(mi.__file__).parent / "data" / "ior"
     metals = sorted(path.name.partition(".")[0] for path in folder.glob("*.eta.spd"))
     symbol = METALS.get(word.lower())
@@ -309,7 +308,7 @@ def _no_metal(word: str) -> str:
 
 
 def _plugin_files() -> dict[str, Path]:
-    """Files of Mitsuba's own plugins and of ours, which have their names."""
+    """Files of Mitsuba's plugins and of ours, by plugin name."""
     folders = Path(mi.__file__).parent, Path(__file__).parents[1]
     files = [path for one in folders for path in (one / "plugins").rglob("*.*")]
     for _, door in doors():
@@ -318,7 +317,7 @@ def _plugin_files() -> dict[str, Path]:
 
 
 def _manual_names(plugin: str) -> set[str]:
-    """Names of the parameters of one of our plugins, by its manual page."""
+    """Parameters of one of our plugins, from its manual page; none of others."""
     path = _plugin_files().get(plugin, Path())
     if path.suffix != ".py":
         return set()
@@ -327,9 +326,9 @@ def _manual_names(plugin: str) -> set[str]:
 
 
 def _traversed_names(plugin: str) -> set[str]:
-    """Names that ``mi.traverse`` gives of a plugin, which are most of its parameters.
+    """Names under which ``mi.traverse`` lists a plugin's parameters: most of them.
 
-    None of one that cannot be loaded without any.
+    None if the plugin cannot be loaded without parameters.
     """
     if plugin in NEEDS:
         return set()
@@ -341,12 +340,11 @@ def _traversed_names(plugin: str) -> set[str]:
 
 
 def _as_loaded(node: Any) -> Any:
-    """Dictionary with tensors of its own: Mitsuba empties those that it loads.
+    """Copy of a dictionary with its own tensors: Mitsuba empties those that it loads.
 
-    ValueError for what has no type in Mitsuba, which prints lines of it, or is no text,
-    or would end the process.
+    Raise ValueError for values that Mitsuba has no type for or that would crash it.
     """
-    if isinstance(node, str) and re.search("[\ud800-\udfff]", node):  # in no UTF-8
+    if isinstance(node, str) and re.search("[\ud800-\udfff]", node):  # not in UTF-8
         raise SpecimenError(
             f"names of files must be UTF-8, got {shown(node)}: rename it"
         )
@@ -360,7 +358,7 @@ def _as_loaded(node: Any) -> Any:
 
 
 def _check_complete(plugin: Any, names: Collection[str | None]) -> None:
-    """Raise SpecimenError for a plugin that has none of the properties it needs."""
+    """Raise SpecimenError for a plugin without any of the properties it needs."""
     needs, some = NEEDS.get(str(plugin), ("", set()))
     if needs and (not names or (some and some.isdisjoint(names))):
         raise SpecimenError(f"{plugin} must be given {needs}, got none of them")
@@ -371,7 +369,7 @@ def _one_line(error: object) -> str:
     text = str(error)
     if "Traceback (most recent call last)" in text:
         head, _, trace = text.partition("Traceback (most recent call last)")
-        # of a traceback, the lines that are not indented: the error itself
+        # the lines of a traceback that are not indented are the error itself
         lines = [line for line in trace.splitlines()[1:] if line[:1].strip()]
         text = head.rstrip(": \n") + ": " + " ".join(lines[-3:])
     return " ".join(FRAMES.sub("", text).split())
@@ -380,8 +378,8 @@ def _one_line(error: object) -> str:
 def load_plugin_file(path: str | PathLike[str]) -> None:
     """Run a user's Python file that registers Mitsuba plugins.
 
-    Its folder is where it finds its own modules, as with ``python FILE``. Those are
-    imported anew when the file is run again, for they may be bound to a variant.
+    It imports modules from its own folder, as with ``python FILE``. They are imported
+    anew when the file is run again, as they may be bound to a variant.
 
     Raises
     ------
@@ -399,14 +397,14 @@ def load_plugin_file(path: str | PathLike[str]) -> None:
         sys.modules.pop(_imported.pop(), None)
     known = set(sys.modules)
     scope = {"__name__": path.stem, "__file__": str(path.resolve())}
-    # Python takes a module for unchanged if its size and the second of its change are
-    # those of the bytecode, and a folder's list of files for that of the same moment
+    # Python recognises changed modules by size and the second of their change only, and
+    # caches the list of a folder's files by its time of change
     writes_no_bytecode, sys.dont_write_bytecode = sys.dont_write_bytecode, True
     importlib.invalidate_caches()
     try:
         content = path.read_bytes()
         text = importlib.util.decode_source(content)
-        # digests and tracebacks are of what is run, whatever becomes of the file
+        # digests and tracebacks show the code that runs, even if the file changes
         linecache.cache[str(path)] = len(text), None, text.splitlines(True), str(path)
         exec(compile(content, str(path), "exec"), scope)
     except (Exception, SystemExit) as error:
@@ -462,17 +460,17 @@ def surface_specimen(
 # -------------------------------------------------------------------------- named files
 
 
-# Scene files may include others; Mitsuba takes no more than this many deep.
+# Depth to which Mitsuba accepts scene files that include others.
 MAX_INCLUDES = 15
 
 
 def _measured_files(
     names: Iterable[str | Path],
 ) -> list[tuple[str, float, float]]:
-    """Names of the files for Mitsuba's plugin `measured`, and their ranges in nm.
+    """Names and ranges in nm of spectral files for Mitsuba's plugin `measured`.
 
-    FileFormatError if one is damaged, which would crash Mitsuba. Names that are not
-    found are left to Mitsuba, and so are scene files that are not XML.
+    Raise FileFormatError for a damaged file, which would crash Mitsuba. Missing files,
+    and scene files that are not XML, are left to Mitsuba.
     """
     paths = [Path(str(mi.file_resolver().resolve(str(name)))) for name in names]
     found = [(path.name, check_measured(path)) for path in paths if path.is_file()]
@@ -480,7 +478,7 @@ def _measured_files(
 
 
 def _dictionary_names(node: Mapping[str, Any]) -> Iterator[str | Path]:
-    """File names in a dictionary and all that it holds."""
+    """File names in a dictionary and in those nested in it."""
     if node.get("type") == "measured" and isinstance(node.get("filename"), str):
         yield node["filename"]
     for value in node.values():
@@ -491,9 +489,9 @@ def _dictionary_names(node: Mapping[str, Any]) -> Iterator[str | Path]:
 def _scene_names(
     path: Path, parameters: dict[str, str], within: tuple[Path, ...] = ()
 ) -> Iterator[str | Path]:
-    """File names in a scene file and those that it includes, beside it if there.
+    """File names in a scene file and in those it includes; beside it where they exist.
 
-    SpecimenError if a file includes itself, or a plugin would end the process.
+    Raise SpecimenError if a file includes itself, or a plugin would crash Mitsuba.
     """
     path = path.resolve()
     if path in within:

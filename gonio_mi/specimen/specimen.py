@@ -40,35 +40,33 @@ from .shapes import (
 )
 from .wavelengths import check_covered, check_files_cover, lanes_of
 
-# Rays that look for gaps, surfaces that each of them passes, and the part of them that
-# meets thin ones from which on it is worth a warning: near the edges of rough glass
-# some do.
+# Rays that look for gaps, the most surfaces that each passes, and the fraction of rays
+# in thin gaps that is worth a warning: some are near the edges of rough glass.
 N_POINTS = 2**12
 MAX_PASSED = 16
 MAX_THIN = 2.0**-9
 
-# Characters of a BSDF's description in the record: nested ones of principled have 1500.
+# Characters of a BSDF's description in the record: nested principled ones have 1500.
 MAX_DESCRIPTION = 4000
 
-# Copies of geometry wider than its cell that rays look for in one cell.
+# Most copies of a geometry wider than its cell that reach into one cell.
 MAX_COPIES = 121
 
-# Extents in scene units that rays find their way in. In a box from -MAX_COORDINATE to
-# MAX_COORDINATE the product of four lengths, 2^128, exceeds single precision. As
-# measured, glass 4.2e9 wide has the bits of a small slab; from 8.4e9 rays find no way
-# out.
+# Extents in scene units in which rays can be traced. In a box from -MAX_COORDINATE to
+# MAX_COORDINATE the product of four lengths, 2^128, exceeds single precision. Measured:
+# glass 4.2e9 wide has the bits of a small slab; from 8.4e9 on, rays do not get out.
 MIN_WIDTH = 1e-9
 MAX_COORDINATE = 2.0**31
 
-# Relative error of reflectances by rays that start so far off a surface, in units of
-# its coordinates over the specimen's detail (as measured on grooves and spheres), and
-# from where it is worth a warning.
+# Relative error of reflectances due to the distance at which rays start off a surface,
+# in units of its coordinates over the specimen's detail (measured on grooves and
+# spheres), and the error that is worth a warning.
 OFFSET_ERROR = 2.0**-19
 MAX_OFFSET_ERROR = 1e-4
 
 
 class Box:
-    """Lengths of a specimen as its rays meet them: specimens of any size share kernels.
+    """Lengths of a specimen in memory: specimens of any size share kernels.
 
     Attributes
     ----------
@@ -100,9 +98,9 @@ class Box:
 
 
 class Specimen:
-    """The shapes of a scene that emit nothing: what is known of them is found once.
+    """The shapes of a scene that emit nothing, loaded, described and tried once.
 
-    It is frozen, and no dataclass, which Dr.Jit would take apart in recorded loops.
+    Frozen, but not a dataclass: Dr.Jit would set its fields in recorded loops.
 
     Parameters
     ----------
@@ -114,16 +112,16 @@ class Specimen:
         through the opposite one. Extents in x and y: the same with a cell of that size
         about the middle of the box; geometry beyond it reaches into the next ones.
     name : str
-        What its user calls it.
+        Short name for records and messages.
     files : sequence of (str, float, float)
-        Name of each measured file that it reads, and the first and last wavelength of
-        its data in nm.
+        Name of each spectral file of the plugin `measured`, and the first and last
+        wavelength of its data in nm.
 
     Raises
     ------
     SpecimenError
-        If there is no shape, something that the instrument does not model, or a cell
-        into which too many copies of the geometry reach.
+        If there is no shape, an unsupported one, or too many copies of the geometry
+        reach into a cell.
     """
 
     source: mi.Scene
@@ -148,19 +146,19 @@ class Specimen:
         if self.periodic:
             self._check_walls()
         self._check_extent()
-        _ = self.box  # which no kernel that is being recorded can make
+        _ = self.box  # not while a kernel is being recorded
         if self.plane is None:
             self._warn_of_distance()
         if any(map(holds_foreign_plugins, self._shapes)):
-            _ = self.digest  # before plugins are called, which may count that
+            _ = self.digest  # before plugins are called, which may count their calls
         _ = self.description
 
     def __setattr__(self, name: str, value: object) -> None:
-        raise FrozenInstanceError(f"a specimen has no {name} to be set")
+        raise FrozenInstanceError(f"cannot set {name} of a specimen: it is frozen")
 
     @property
     def own_settings(self) -> dict[str, Any]:
-        """Settings that its scene asks for, if that is a complete measurement."""
+        """Settings of the scene file, if it is a complete measurement."""
         return own_settings(self.source)
 
     @cached_property
@@ -175,11 +173,11 @@ class Specimen:
 
     @cached_property
     def surfaces(self) -> list[mi.Shape]:
-        """Shapes that light meets: those that are no instances, and the groups'."""
+        """Shapes that light meets: those of the groups, and all but instances."""
         surfaces = surfaces_of(self._shapes, self.groups)
         for shape in surfaces:
             if isinstance(shape, mi.Mesh) and not shape.bbox().valid():
-                # merged from others by Mitsuba 3.9.1, which forgets to
+                # Mitsuba 3.9.1 merges meshes without a bounding box
                 recompute_box(shape)
         return surfaces
 
@@ -196,12 +194,12 @@ class Specimen:
 
     @property
     def periodic(self) -> bool:
-        """Whether it is a cell of an infinite surface."""
+        """Whether the specimen is a cell of an infinite surface."""
         return self.period != "none"
 
     @cached_property
     def _corners(self) -> tuple[Corners, Floats]:
-        """Lower and upper corner of the box, or of the cell, and shifts into it."""
+        """Corners of the bounding box or the cell, and the shifts of copies."""
         low, high = bounds(self._shapes)
         if not (np.isfinite(low).all() and np.isfinite(high).all()):
             raise SpecimenError(
@@ -214,7 +212,7 @@ class Specimen:
             wide = cell < extent * (1 - 2.0**-20)
             if np.any(wide):
                 shifts = self._copies(extent, cell, wide)
-            # where cell and geometry are equal, to the bit
+            # to the bit where cell and geometry are equal
             alike = ~wide & (cell < extent * (1 + 2.0**-20))
             margin = (np.where(alike, extent, cell) - extent) / 2
             low[:2] -= margin
@@ -233,12 +231,12 @@ class Specimen:
 
     @property
     def shifts(self) -> Floats:
-        """Shifts of the copies that reach into the cell, shape (n, 3)."""
+        """Shifts of the copies that reach into the cell, shape ``(n, 3)``."""
         return self._corners[1]
 
     @cached_property
     def box(self) -> Box:
-        """The same for kernels."""
+        """Its corners and extents for kernels."""
         return Box(self)
 
     @cached_property
@@ -248,9 +246,9 @@ class Specimen:
 
     @cached_property
     def plane(self) -> Any:
-        """:class:`Plane` of a single rectangle parallel to z = 0, without a medium.
+        """:class:`Plane` of a single rectangle parallel to z = 0 without a medium.
 
-        None of anything else, and of a periodic one.
+        None for all other specimens, and for periodic ones.
         """
         (shape, *others), (low, high) = self._shapes, self._corners[0]
         if self.periodic or self.media or others or shape.class_name() != "Rectangle":
@@ -266,9 +264,9 @@ class Specimen:
 
     @cached_property
     def transmits(self) -> bool:
-        """Whether light may reach the other side, for all that is declared.
+        """Whether light may reach the other side, as far as declared.
 
-        Only a flat rectangle whose BSDF has no transmitting component lets none pass.
+        False only for a flat rectangle whose BSDF has no transmitting component.
         """
         return self.plane is None or mi.has_flag(
             self.plane.bsdf.flags(), mi.BSDFFlags.Transmission
@@ -284,7 +282,7 @@ class Specimen:
 
     @cached_property
     def measured_patches(self) -> tuple[Subdivision | None, ...]:
-        """Patches in which a flat specimen's material was measured itself.
+        """Patches in which the material of a flat specimen was measured.
 
         Lit from the front, and from the back: those that a BSDF declares as `patches`;
         None of others, and of geometry, whose light is not that of one surface.
@@ -314,7 +312,7 @@ class Specimen:
 
     @cached_property
     def radius(self) -> float:
-        """Of the sphere about the origin that holds the surfaces, or the cell."""
+        """Radius of the sphere about the origin that holds the surfaces or the cell."""
         if self.periodic:
             corner = np.abs([self.low, self.high]).max(axis=0)
             return float(np.linalg.norm(corner))
@@ -322,7 +320,7 @@ class Specimen:
 
     @property
     def detail(self) -> float:
-        """Smallest extent of the bounding box that is not 0, and the furthest shift."""
+        """Smallest non-zero extent of the bounding box, plus the largest shift."""
         extents = self.high - self.low
         least = float(extents[extents > 1e-6 * extents.max()].min())
         return least + float(np.abs(self.shifts).max())
@@ -364,21 +362,21 @@ class Specimen:
     def tried(
         self, wavelengths: Sequence[float], functions: Callable[[Any], set[str]]
     ) -> tuple[str, ...]:
-        """Sentences on what is wrong with the specimen but is measured nevertheless.
+        """Try its BSDFs and media once; return sentences on defects.
 
-        They are found, with a warning of each, when they are first asked for.
+        Defects do not prevent a measurement; each gives a warning.
 
         Parameters
         ----------
         wavelengths : sequence of float
             In nm, of a spectral variant.
         functions : callable
-            Names of the functions that are asked of a BSDF.
+            Returns the names of the functions that are called on a BSDF.
 
         Raises
         ------
         SpecimenError
-            If it has no data at a wavelength, or a medium that light cannot reach.
+            If it has no data at a wavelength, or light cannot reach a medium.
         Exception
             Whatever a BSDF raises.
         """
@@ -389,13 +387,13 @@ class Specimen:
 
     @cached_property
     def _trials(self) -> dict[Any, tuple[str, ...]]:
-        """Defects that were found: directions and orders share them."""
+        """Defects by wavelengths and functions, shared by directions and orders."""
         return {}
 
     def _try(
         self, wavelengths: Sequence[float], functions: Callable[[Any], set[str]]
     ) -> tuple[str, ...]:
-        """Try its BSDFs and media, and look for gaps."""
+        """Try its BSDFs and media, and look for thin gaps."""
         lanes = lanes_of(wavelengths)
         bsdfs = [surface.bsdf() for surface in self.surfaces]
         if mi.is_spectral:
@@ -406,6 +404,7 @@ class Specimen:
             check_covered([*bsdfs, *self.media], wavelengths)
         if self.media:
             check_media(self, lanes)
+        _ = self.digest  # evaluates its objects' data, and kernels have other bits then
         phases = [medium.phase_function() for medium in self.media]
         box = self.low, self.high
         found = filter(None, (phase_defect(phase, lanes[0], *box) for phase in phases))
@@ -415,9 +414,9 @@ class Specimen:
         return sentences
 
     def thin_gaps(self) -> list[str]:
-        """Sentence on surfaces so near to another that light may pass it unseen.
+        """Sentence on surfaces so close together that rays may miss one of them.
 
-        None if there are none, or if no light gets between them.
+        Empty if there are none, or if no light gets between them.
         """
         if self.closed_to_light or self.plane is not None:
             return []
@@ -440,10 +439,10 @@ class Specimen:
         ]
 
     def _thin(self, ray: mi.Ray3f, least: float) -> float:
-        """Part of the rays that pass a gap of less than `least`.
+        """Fraction of the rays that pass a gap of less than `least`.
 
-        They go straight on through all that transmits. Looking back from `least` behind
-        each surface that they meet, they see the same one if there is no gap.
+        They go straight through all surfaces that transmit. Looking back from `least`
+        behind each surface, a ray sees the same one if there is no gap.
         """
         through = {
             _number(mi.ShapePtr(shape))[0]
@@ -474,7 +473,7 @@ class Specimen:
 
     @cached_property
     def edges(self) -> str | None:
-        """Without a period ``closed``, or ``open``: it may stand for a larger surface.
+        """``closed``, or ``open`` if it may be part of a larger surface.
 
         Of a few thousand rays to points all over the box, all that are vertical meet an
         open surface, and some of the others meet it from behind: a height field, or a
@@ -500,7 +499,7 @@ class Specimen:
         return "closed" if around else "open"
 
     def _is_closed_along(self, axis: Floats, aim: mi.Point3f) -> bool:
-        """Whether rays to and fro along an axis all meet one side of surfaces."""
+        """Whether rays in both directions along an axis all meet one side."""
         cosines, (size,) = [], in_memory([self.size])
         for end in (axis, -axis):
             d = mi.Vector3f(in_memory(end))  # one kernel for all axes
@@ -513,13 +512,13 @@ class Specimen:
 
     @cached_property
     def is_height_map(self) -> bool:
-        """Whether it is one mesh of heights over all of a periodic cell."""
+        """Whether it is one mesh of heights that fills a periodic cell."""
         if len(self.shifts) > 1 or not self.periodic or len(self.scene.shapes()) > 1:
             return False
         return is_height_map(self.surfaces[0], self.box.low, self.box.high)
 
     def _check_extent(self) -> None:
-        """Raise SpecimenError for what light cannot meet, or float32 not tell apart."""
+        """Raise SpecimenError for extents that single precision cannot trace."""
         extent = (self.high - self.low)[:2]
         if extent.min() < MIN_WIDTH or self.reach > MAX_COORDINATE:
             raise SpecimenError(
@@ -529,7 +528,7 @@ class Specimen:
             )
 
     def _warn_of_distance(self) -> None:
-        """Warn of what single precision does to geometry far from the origin."""
+        """Warn of rounding errors of geometry far from the origin."""
         error = (self.reach - self.size) * OFFSET_ERROR / self.detail
         if error > MAX_OFFSET_ERROR:
             warn(
@@ -557,7 +556,7 @@ class Specimen:
             )
 
     def _copies(self, extent: Floats, cell: Floats, wide: Flags) -> Floats:
-        """Shifts of the copies that reach into the cell or touch it."""
+        """Shifts of the copies of the geometry that reach into or touch the cell."""
         if not all(medium.is_homogeneous() for medium in self.media):
             raise SpecimenError(
                 "period must hold the geometry of a medium that varies, which is "
@@ -576,12 +575,12 @@ class Specimen:
 
 
 def _number(shapes: mi.ShapePtr) -> Integers:
-    """What tells shapes from others."""
+    """Numbers that identify shapes."""
     return dr.reinterpret_array(mi.UInt32, shapes).numpy()
 
 
 def _describe(shape: mi.Shape) -> str:
-    """One line on a shape and its BSDF, without large arrays."""
+    """Describe a shape and its BSDF in one line, without large arrays."""
     # of a mesh, its file or what a height field has to say
     name = re.search(r'\bname = "([^"]*)"', _text(shape)) if shape.is_mesh() else None
     label = f"{shape.class_name()} {name[1]}" if name else shape.class_name()

@@ -31,7 +31,7 @@ def wavelength_lanes(nm: tuple[float, ...] | None) -> mi.UnpolarizedSpectrum:
 
 
 def lanes_of(nm: Any) -> list[mi.UnpolarizedSpectrum]:
-    """Wavelengths of each pass for Mitsuba."""
+    """Wavelengths of each pass, as Mitsuba takes them."""
     return [wavelength_lanes(part) for part in passes(nm)]
 
 
@@ -47,21 +47,21 @@ def check_files_cover(
 ) -> None:
     """Raise :class:`SpecimenError` if a measured file has no data at a wavelength.
 
-    Mitsuba would go on with those at the end of its range.
+    Mitsuba would extrapolate with the data at the end of its range.
 
     Parameters
     ----------
     files : sequence of (str, float, float)
         As of :class:`~gonio_mi.specimen.specimen.Specimen`.
     nm : sequence of float
-        Wavelengths that are asked for.
+        Wavelengths of the measurement.
     """
     for name, low, high in files:
         _check_within(name, low, high, nm)
 
 
 def _check_within(name: str, low: float, high: float, nm: Iterable[float]) -> None:
-    """Raise SpecimenError for wavelengths that are beyond, in single precision."""
+    """Raise SpecimenError for a wavelength out of range, in single precision."""
     for x in nm:
         if not low <= np.float32(x) <= high:
             raise SpecimenError(
