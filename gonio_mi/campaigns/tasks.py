@@ -19,6 +19,7 @@ from ..errors import SettingError, SpecimenError, frames, shown
 from ..estimators import METHODS
 from ..instrument.incidence import described_digest, emitter_scene
 from ..instrument.measure import measure_each
+from ..kernels import launches_kernels
 from ..results.record import Record
 from ..settings import MeasurementSettings
 from ..specimen.digest import file_digest, plugins_digest
@@ -26,6 +27,7 @@ from ..specimen.loading import load_plugin_file, specimen_of
 from ..specimen.specimen import Specimen
 from ..specimen.specimen_text import specimen_name
 from ..threads import drjit_lock, thread_count
+from ..variants import is_parallel
 
 # Rays of one task, if there are directions enough for so many tasks: setting up a
 # specimen is worth some 1e6 rays, but what is finished is kept, and shared out among
@@ -62,7 +64,8 @@ class Task:
         with drjit_lock, _path_kept():
             mi.set_variant(self.variant)
             self._load_plugins()
-            with thread_count(self.threads):
+            # releases the specimen from the frames of what is called, in an error
+            with thread_count(self.threads), launches_kernels(is_parallel):
                 if not loaded:
                     loaded.append(self._load())
                 how, incidents = {"whole": True, **self.arguments}, self.incidents

@@ -35,7 +35,6 @@ from .setup import set_up
 logger = logging.getLogger(__name__)
 
 
-@launches_kernels(is_parallel)
 def measure_each(
     specimen: SpecimenLike | Specimen,
     incidents: Sequence[tuple[float, float] | None],

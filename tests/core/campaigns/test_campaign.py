@@ -3,12 +3,14 @@
 All is exact. Processes are killed for real.
 """
 
+import gc
 import os
 import random
 import signal
 import subprocess
 import sys
 import time
+import weakref
 from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
 from pathlib import Path
 
@@ -285,6 +287,23 @@ def test_a_specimen_is_loaded_once_in_a_row(tmp_path, monkeypatch):
     for number, theta_i in enumerate((0, 30, 60)):
         assert gonio.measure(plate, theta_i, **how).tallies == found[number].tallies
     assert len(loads) == 4
+
+
+def test_an_error_keeps_no_specimen(monkeypatch):
+    """Its traceback would let it take part in all kernels from then on."""
+    load, made = tasks.specimen_of, []
+
+    def loads(*how):
+        specimen = load(*how)
+        made.append(weakref.ref(specimen))
+        return specimen
+
+    monkeypatch.setattr(tasks, "specimen_of", loads)
+    with pytest.raises(gonio.SpecimenError, match="must enclose") as error:
+        gonio.campaign({"ball": {"type": "sphere"}}, [0], collector_radius=0.5)
+    gc.collect()
+    assert error.tb is not None
+    assert [one() for one in made] == [None]
 
 
 def test_tensors_of_a_specimen_stay():
