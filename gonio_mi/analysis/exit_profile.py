@@ -20,13 +20,13 @@ from ..errors import (
 from ..instrument.incidence import incident_angles
 from ..instrument.measure import send_all
 from ..instrument.recording import records_of
-from ..instrument.setup import own_settings, set_up
+from ..instrument.setup import set_up
 from ..kernels import launches_kernels
 from ..results.record import Record
 from ..results.tally import Ledger, Tally, grouped
 from ..settings import MeasurementSettings
-from ..specimen.loading import load_specimen
-from ..specimen.specimen_text import SpecimenLike, specimen_name
+from ..specimen.loading import specimen_of
+from ..specimen.specimen_text import SpecimenLike
 
 MAX_RINGS = 10_000
 RADII = "numbers of at least 0 and less than 1e15"
@@ -130,14 +130,13 @@ def exit_profile(
     given = {name: value for name, value in settings.items() if value is not None}
     MeasurementSettings().changed(**given)  # refused before anything is loaded
     incidents, _ = incident_angles(float(theta_i), float(phi_i))
-    scene = load_specimen(specimen, parameters, given.get("period"))
+    loaded = specimen_of(specimen, parameters, given.get("period"))
     # one ring of light inside of the first radius, and one beyond the last
     fixed = {"footprint": "point", "collector": f"angle:{edges.size + 1}x1"}
-    found = {k: v for k, v in own_settings(scene).items() if k not in REFUSED_SETTINGS}
-    chosen = MeasurementSettings().changed(**found | given | fixed)
+    own = {k: v for k, v in loaded.own_settings.items() if k not in REFUSED_SETTINGS}
+    chosen = MeasurementSettings().changed(**own | given | fixed)
     checked_choice("the estimator of exit_profile", chosen.estimator, ESTIMATORS)
-    name = specimen_name(specimen, parameters)
-    (setup,) = set_up(scene, chosen, incidents, name=name)
+    (setup,) = set_up(loaded, chosen, incidents)
     radii = mi.Float(edges.tolist())
     dr.make_opaque(radii)
     setups = [replace(setup, radii=radii)]

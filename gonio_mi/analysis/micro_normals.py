@@ -18,9 +18,8 @@ from ..errors import SpecimenError, checked_count, checked_number
 from ..kernels import launches_kernels
 from ..mitsuba_compat import SURFACE, triangles_of
 from ..plots.figure import finished, new_figure
-from ..settings.values import checked_period
 from ..single_precision import FEW_ROUNDINGS
-from ..specimen.loading import load_specimen
+from ..specimen.loading import specimen_of
 from ..specimen.rays import departure, escapes, intersect
 from ..specimen.specimen import Specimen
 from ..specimen.specimen_text import SpecimenLike
@@ -336,8 +335,7 @@ def micro_normals(
     limits = (-1e6, 1e6, "an angle in degrees")
     phis = [checked_number("phi", one, *limits) for one in phi]
     angles = list(itertools.product(thetas, phis))
-    scene = load_specimen(specimen, parameters, period)
-    measured = Specimen(scene, checked_period("period", period))
+    measured = specimen_of(specimen, parameters, period)
     extent = (measured.high - measured.low)[:2]
     if not extent.min() > FEW_ROUNDINGS * np.max(measured.high - measured.low):
         raise SpecimenError(

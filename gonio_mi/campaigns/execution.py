@@ -23,7 +23,9 @@ from concurrent.futures import (
 )
 from contextlib import nullcontext
 from dataclasses import dataclass
+from itertools import groupby
 from multiprocessing.connection import Connection, wait
+from operator import attrgetter
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -32,7 +34,7 @@ from ..errors import SettingError, warn
 from ..progress import bar
 from ..results.provenance import DIGESTS
 from ..results.record import Record
-from ..specimen.loading import loaded_once
+from ..specimen.specimen import Specimen
 from .folder import CampaignFolder
 from .tasks import TASKS, Task, check_picklable, run_task, tasks_of
 
@@ -144,9 +146,13 @@ def _finish(
 ) -> None:
     """Run tasks and keep their records as they come; those of dead workers again."""
     if executor is None:
-        with loaded_once():
-            for task in todo:
-                keep(task, task.run())
+        for _, alike in groupby(todo, key=attrgetter("name")):
+            loaded: list[Specimen] = []
+            try:
+                for task in alike:
+                    keep(task, task.record(loaded))
+            finally:
+                loaded.clear()
         return
     for left in range(retries, -1, -1):
         pools: Any = workers if isinstance(executor, int) else nullcontext

@@ -19,13 +19,15 @@ from ..errors import SettingError, SpecimenError, frames, shown
 from ..estimators import METHODS
 from ..instrument.incidence import described_digest, emitter_scene
 from ..instrument.measure import measure_each
+from ..kernels import launches_kernels
 from ..results.record import Record
 from ..settings import MeasurementSettings
 from ..specimen.digest import file_digest, plugins_digest
-from ..specimen.loading import load_plugin_file, load_specimen
+from ..specimen.loading import load_plugin_file, specimen_of
 from ..specimen.specimen import Specimen
 from ..specimen.specimen_text import specimen_name
 from ..threads import drjit_lock, thread_count
+from ..variants import is_parallel
 
 # Rays of one task, if there are directions enough for so many tasks: setting up a
 # specimen is worth some 1e6 rays, but what is finished is kept, and shared out among
@@ -52,31 +54,36 @@ class Task:
     threads: int | None
     arguments: dict[str, Any] = field(hash=False)  # of `measure`, as they were given
 
-    def run(self) -> Record:
-        """Measure, in any process: records of the directions, stacked."""
+    def record(self, loaded: list[Specimen]) -> Record:
+        """Measure in any process; return the stack of all directions.
+
+        The specimen is that in the list, or is loaded into it for the next task. The
+        caller clears the list, so that the traceback of an error keeps no specimen.
+        """
         # threads of one process share Dr.Jit and the variant
         with drjit_lock, _path_kept():
             mi.set_variant(self.variant)
             self._load_plugins()
-            with thread_count(self.threads):
-                specimen, incidents = self._located(), self.incidents
-                record = measure_each(specimen, incidents, whole=True, **self.arguments)
-        # the same wherever it is measured
+            # releases the specimen from the frames of what is called, in an error
+            with thread_count(self.threads), launches_kernels(is_parallel):
+                if not loaded:
+                    loaded.append(self._load())
+                how, incidents = {"whole": True, **self.arguments}, self.incidents
+                record = measure_each(loaded[0], incidents, **how)
+        # the same in every folder and process
         name = specimen_name(self.specimen, self.arguments.get("parameters"))
         return record.with_provenance(specimen=name)
 
     def digests(self) -> dict[str, str | None]:
-        """Digests of the specimen and the emitter as they are now."""
+        """Current digests of the specimen, the emitter and their plugins."""
         with drjit_lock, _path_kept():
             self._load_plugins()
-            period = MeasurementSettings.among(self.arguments).period
-            parameters = self.arguments.get("parameters")
-            scene = load_specimen(self._located(), parameters, period)
-            things, emitter = scene.shapes(), self.arguments.get("emitter")
+            specimen, emitter = self._load(), self.arguments.get("emitter")
+            things = specimen.source.shapes()
             if emitter is not None:
                 things += emitter_scene(None, emitter, None, "front").emitters()
             return {
-                "digest": Specimen(scene).digest,
+                "digest": specimen.digest,
                 "emitter_digest": described_digest(emitter),
                 "plugin_digest": plugins_digest(things),
             }
@@ -91,16 +98,18 @@ class Task:
                     "what is finished is of the old one; start again in another folder"
                 )
 
-    def _located(self) -> Any:
-        """Return the specimen; if it is a file, its path from anywhere."""
-        if isinstance(self.specimen, (str, os.PathLike)):
-            return os.path.join(self.directory, self.specimen)
-        return self.specimen
+    def _load(self) -> Specimen:
+        """Load the specimen; a file, from any working directory."""
+        specimen = self.specimen
+        if isinstance(specimen, (str, os.PathLike)):
+            specimen = os.path.join(self.directory, specimen)
+        parameters, period = map(self.arguments.get, ("parameters", "period"))
+        return specimen_of(specimen, parameters, period)
 
 
 @contextlib.contextmanager
 def _path_kept() -> Iterator[None]:
-    """Context of plugin files, whose folder Python searches first until the end."""
+    """Restore the search path that plugin files change."""
     before = sys.path[:]
     try:
         yield
@@ -110,12 +119,15 @@ def _path_kept() -> Iterator[None]:
 
 def run_task(task: Task) -> Record:
     """Run a task; a function of the module, so that it can be sent."""
+    loaded: list[Specimen] = []
     try:
-        return task.run()
+        return task.record(loaded)
     except Exception as error:
         failed: Any = error
         failed.frames = frames(error)  # the traceback itself is not sent back
         raise
+    finally:
+        loaded.clear()
 
 
 def tasks_of(
@@ -146,7 +158,7 @@ def tasks_of(
 
 
 def check_picklable(tasks: Sequence[Task]) -> None:
-    """Raise ValueError for a specimen or setting that other processes cannot get."""
+    """Raise ValueError for a specimen or setting that cannot be pickled."""
     copyreg.pickle(mi.ScalarTransform4f, _sent)  # of meshes, which cannot by themselves
     for task in tasks:
         for label, value in {task.name: task.specimen, **task.arguments}.items():
@@ -160,12 +172,12 @@ def check_picklable(tasks: Sequence[Task]) -> None:
 
 
 def _sent(transform: Any) -> tuple[Any, ...]:
-    """What a transform is made of in another process."""
+    """Pickle a transform for another process."""
     return _received, (np.array(transform.matrix).tolist(), mi.variant())
 
 
 def _received(matrix: list[list[float]], variant: str) -> Any:
-    """Transform, in a process that may not have the variant of its task yet."""
+    """Unpickle a transform, before the task has set its variant if need be."""
     if mi.variant() is None:
         mi.set_variant(variant)
     return mi.ScalarTransform4f(matrix)

@@ -10,7 +10,7 @@ from typing import Any
 
 from ..kernels import check_all_counted
 from ..results.tally import Tally
-from ..specimen.wavelengths import wavelength_lanes
+from ..specimen.wavelengths import lanes_of
 from ..transport.curve import MAX_SEQUENCES, curves
 from ..transport.launch import Launch, launch, traces
 from ..transport.sampling import is_joint
@@ -160,7 +160,7 @@ class Launcher:
         setup, n = setups[0], len(setups)
         beams = tuple(one.beam for one in setups) if n > 1 else ()
         capacity = self.capacity * (self.together if n > 1 else 1)
-        lanes = [wavelength_lanes(nm) for nm in setup.passes]
+        lanes = lanes_of(setup.settings.wavelengths)
         controls = self._controls(setup, lanes)
         first, sizes = part.first, tuple(size for size in part.sizes for _ in setups)
         while sizes:

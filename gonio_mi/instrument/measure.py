@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from os import PathLike
 from typing import Any
 
 import mitsuba as mi
@@ -21,8 +20,9 @@ from ..results.record import Record
 from ..results.tally import Tally, batch_sizes
 from ..settings import MeasurementSettings
 from ..settings.values import Order
-from ..specimen.loading import check_named_files, load_specimen
-from ..specimen.specimen_text import SpecimenLike, specimen_name
+from ..specimen.loading import specimen_of
+from ..specimen.specimen import Specimen
+from ..specimen.specimen_text import SpecimenLike
 from ..transport.polarisation import n_channels, n_elements
 from ..transport.setup import Setup
 from ..variants import is_parallel
@@ -30,13 +30,13 @@ from .incidence import incident_angles
 from .launcher import Launcher, group_size, rays_per_round
 from .recording import check_resumable, record_of, records_of, warn_of_interruption
 from .schedule import Target, rays_sent, rounds, schedule
-from .setup import own_settings, set_up
+from .setup import set_up
 
 logger = logging.getLogger(__name__)
 
 
 def measure_each(
-    specimen: SpecimenLike,
+    specimen: SpecimenLike | Specimen,
     incidents: Sequence[tuple[float, float] | None],
     **settings: Any,
 ) -> Record:
@@ -96,7 +96,7 @@ def measure_orders(
 
 @launches_kernels(is_parallel)
 def measure_stacks(
-    specimen: SpecimenLike,
+    specimen: SpecimenLike | Specimen,
     incidents: Sequence[tuple[float, float] | None],
     orders: Sequence[Order] = (),
     /,
@@ -118,23 +118,20 @@ def measure_stacks(
         given["order"] = Order(most=max(order.most for order in orders))
     asked = MeasurementSettings().changed(**given)  # refused before anything is loaded
     _check_together(given, asked, incidents, emitter)
-    scene = load_specimen(specimen, parameters, given.get("period"))
-    settings = _settled(own_settings(scene), given, resume)
-    if mi.is_spectral and isinstance(specimen, (str, PathLike, dict)):
-        check_named_files(specimen, parameters, settings.wavelengths)
+    loaded = specimen_of(specimen, parameters, given.get("period"))
+    settings = _settled(loaded.own_settings, given, resume)
     one_by_one = Target.of(settings) or not METHODS[settings.estimator].follows_exits
     if len(orders) > 1 and one_by_one:
-        given |= {"progress": progress, "parameters": parameters, "emitter": emitter}
+        given |= {"progress": progress, "emitter": emitter}
         records: list[Record] = []
         for one in orders:
-            records += measure_stacks(specimen, incidents, [one], whole=whole, **given)
+            records += measure_stacks(loaded, incidents, [one], whole=whole, **given)
             if records[-1].provenance.interrupted:
                 break
         return records
     if len(orders) == 1:
         settings, orders = replace(settings, order=orders[0]), ()
-    name = specimen_name(specimen, parameters)
-    setups = set_up(scene, settings, incidents, emitter, name=name, orders=orders)
+    setups = set_up(loaded, settings, incidents, emitter, orders=orders)
     finished: list[list[Tally]] = [[] for _ in setups]
     if resume is not None:
         check_resumable(resume, setups, rays_per_round(setups[0]))

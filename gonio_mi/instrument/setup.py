@@ -20,21 +20,11 @@ from ..errors import (
 from ..estimators import METHODS
 from ..estimators.auto import PILOT_INCIDENT, chosen
 from ..results.tally import Tally
-from ..settings import (
-    COLLECTOR,
-    FILM,
-    INTEGRATOR,
-    Estimator,
-    MeasurementSettings,
-    Order,
-)
-from ..specimen.bsdf_trial import check_works, warn_of_roughness
+from ..settings import Estimator, MeasurementSettings, Order
 from ..specimen.digest import emitter_digest
 from ..specimen.loading import loaded
-from ..specimen.media import check_media, phase_defect
-from ..specimen.scene_objects import foreign_plugins
 from ..specimen.specimen import Specimen
-from ..specimen.wavelengths import check_covered, passes, wavelength_lanes
+from ..specimen.wavelengths import check_covered
 from ..transport.beam import Beam
 from ..transport.collector_sphere import CollectorSphere
 from ..transport.layers import layers_of
@@ -44,68 +34,41 @@ from .incidence import collimated, described_digest, emitter_scene, towards
 from .launcher import Launcher
 from .schedule import Round
 
-# Defects by variant, wavelengths, digest, extent and classes in Python.
-_known_defects: dict[tuple[Any, ...], tuple[str, ...]] = {}
-
-
-def own_settings(scene: mi.Scene, sensor: mi.Sensor | None = None) -> dict[str, Any]:
-    """Settings of a scene's integrator `goniophotometer` and sensor `collector`.
-
-    Of the first such sensor, unless `sensor` is given; empty without either.
-    """
-    own: dict[str, Any] = {}
-    settings = getattr(scene.integrator(), "settings", None)
-    if isinstance(settings, MeasurementSettings):
-        own |= settings.of_plugin(INTEGRATOR)
-    sensors = scene.sensors() if sensor is None else [sensor]
-    for sensor in sensors:
-        if isinstance(getattr(sensor, "settings", None), MeasurementSettings):
-            own |= sensor.settings.of_plugin(COLLECTOR)
-            own |= sensor.film().settings.of_plugin(FILM)
-            own["sampler"] = sensor.sampler()
-            break
-    return own
-
 
 def set_up(
-    scene: mi.Scene,
+    specimen: Specimen,
     settings: MeasurementSettings,
     incidents: Sequence[tuple[float, float] | None] = (None,),
     emitter: dict[str, Any] | None = None,
     *,
-    name: str = "a scene",
     orders: Sequence[Order] = (),
 ) -> list[Setup]:
     """Set up a :class:`Setup` for each incident direction.
 
     Parameters
     ----------
-    scene : mi.Scene
-        Of the specimen.
+    specimen : Specimen
     settings : MeasurementSettings
+        With the period of the specimen.
     incidents : sequence of (float, float) or None
         In degrees; None for an emitter as it is.
     emitter : dict, optional
-        Instead of that of the scene, or of a collimated beam.
-    name : str
-        Of the specimen.
+        In place of the scene's emitter, or of a collimated beam.
     orders : sequence of Order
-        To be collected apart.
+        Collected separately.
 
     Returns
     -------
     list of Setup
-        Their settings are those given, with the estimator that was chosen for ``auto``.
+        With these settings, and the estimator that was chosen for ``auto``.
 
     Raises
     ------
     TypeError, ValueError, SpecimenError, LookupError
-        If a specimen, emitter, collector or sampler does not go with the others, and
+        If the specimen, emitter, collector and sampler do not fit together; and
         whatever a BSDF of the specimen raises.
     """
     sampler = _loaded_sampler(settings)
-    specimen = Specimen(scene, settings.period, name)
-    _check_specimen(specimen, settings)
     defects = _defects(specimen, settings)
     collector = _collector(specimen, settings)
     described = described_digest(emitter)
@@ -114,10 +77,10 @@ def set_up(
     def lit(
         settings: MeasurementSettings, incident: tuple[float, float] | None
     ) -> Setup:
-        """The specimen, lit from a direction, or by the emitter as it is."""
+        """Setup with a beam from a direction, or with the emitter as it is."""
         source, beam = None, _collimated_beam(specimen, settings, emitter, incident)
         if beam is None:
-            source = emitter_scene(scene, emitter, incident, settings.side)
+            source = emitter_scene(specimen.source, emitter, incident, settings.side)
             beam = _beam(specimen, settings, source.emitters())
         method = METHODS[settings.estimator]
         # integrals have an error of their own
@@ -168,19 +131,19 @@ def _collector(specimen: Specimen, settings: MeasurementSettings) -> CollectorSp
 
 
 def _short_run(setup: Setup, each: int) -> Tally:
-    """Batches of so many rays."""
+    """Tally of a short run with `each` rays per batch."""
     part = Round((each,) * setup.settings.batches)
     return Tally.join([tally for (tally,) in Launcher([setup]).tallies([setup], part)])
 
 
-# Of the patches of a collector, by how much those of the material may be larger.
+# Median ratio of the material's patches to the collector's that is no warning.
 MAX_LARGER = 2.0
 
 
 def _warn_of_finer_patches(specimen: Specimen, settings: MeasurementSettings) -> None:
     """Warn if most patches are finer than those in which the material was measured.
 
-    Not of single receptors: what these may get, a quantity bounds.
+    Not for single receptors, whose error a quantity bounds.
     """
     measured = specimen.measured_patches[int(settings.side == "back")]
     if measured is None or settings.collector.axes is not None:
@@ -197,45 +160,17 @@ def _warn_of_finer_patches(specimen: Specimen, settings: MeasurementSettings) ->
         )
 
 
-def _check_specimen(specimen: Specimen, settings: MeasurementSettings) -> None:
-    """Raise what a BSDF of the specimen raises, or SpecimenError beyond its data."""
-    lanes = [wavelength_lanes(nm) for nm in passes(settings.wavelengths)]
-    bsdfs = [surface.bsdf() for surface in specimen.surfaces]
-    method = METHODS[settings.estimator]
-    check_works(bsdfs, lanes[0], method.functions)
-    warn_of_roughness(bsdfs)
-    if mi.is_spectral:
-        check_covered([*bsdfs, *specimen.media], settings.wavelengths)
-    if specimen.media:
-        check_media(specimen, lanes)
-        if not method.follows_exits:
-            raise SpecimenError(
-                "a specimen with a medium must be measured by the estimator weighted "
-                f"or analog, got {settings.estimator}"
-            )
-    _warn_of_finer_patches(specimen, settings)
-
-
 def _defects(specimen: Specimen, settings: MeasurementSettings) -> tuple[str, ...]:
-    """Sentences on what is not right of a specimen, but is measured.
-
-    With a warning when this specimen is asked for the first time: a campaign sets it up
-    again for each direction.
-    """
-    phases = [medium.phase_function() for medium in specimen.media]
-    written = (type(one) for phase in phases for one in foreign_plugins(phase))
-    nm = settings.wavelengths[:4]
-    box = specimen.low, specimen.high
-    corners = *specimen.low, *specimen.high  # of the cell, or what gaps are thin by
-    key = mi.variant(), nm, specimen.digest, corners, frozenset(written)
-    if key not in _known_defects:
-        lanes = wavelength_lanes(passes(settings.wavelengths)[0])
-        found = filter(None, (phase_defect(phase, lanes, *box) for phase in phases))
-        sentences = tuple(dict.fromkeys([*specimen.thin_gaps(), *found]))
-        for sentence in sentences:
-            warn(sentence)
-        _known_defects[key] = sentences
-    return _known_defects[key]
+    """Try the specimen, and check the estimator; return its defects."""
+    method = METHODS[settings.estimator]
+    defects = specimen.tried(settings.wavelengths, method.functions)
+    if specimen.media and not method.follows_exits:
+        raise SpecimenError(
+            "a specimen with a medium must be measured by the estimator weighted or "
+            f"analog, got {settings.estimator}"
+        )
+    _warn_of_finer_patches(specimen, settings)
+    return defects
 
 
 def _collimated_beam(
@@ -244,7 +179,7 @@ def _collimated_beam(
     emitter: object,
     incident: tuple[float, float] | None,
 ) -> Beam | None:
-    """Collimated light from a direction; None where an emitter is to be taken."""
+    """Collimated beam from a direction; None if an emitter is used instead."""
     if emitter is not None or incident is None:
         return None
     vector = towards(incident, settings.side)
@@ -254,7 +189,7 @@ def _collimated_beam(
 def _beam(
     specimen: Specimen, settings: MeasurementSettings, emitters: Sequence[mi.Emitter]
 ) -> Beam:
-    """Light of the one emitter, at wavelengths that it has."""
+    """Beam of the scene's only emitter, whose spectra cover the wavelengths."""
     if any(emitter.get_medium() is not None for emitter in emitters):
         raise SpecimenError("the emitter must stand in air, got one inside of a medium")
     if len(emitters) != 1:
@@ -274,7 +209,7 @@ def _beam(
 
 
 def _loaded_sampler(settings: MeasurementSettings) -> mi.Sampler:
-    """Sampler of the settings; one that would measure wrongly is refused."""
+    """Sampler of the settings; raise for one that would bias the results."""
     sampler = settings.sampler or {"type": "sobol"}
     if isinstance(sampler, dict):
         sampler = loaded("the sampler", mi.load_dict, sampler)

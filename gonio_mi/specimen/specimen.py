@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import FrozenInstanceError
 from functools import cached_property
 from typing import Any
 
@@ -17,12 +18,14 @@ from ..errors import SpecimenError, abridged, warn
 from ..kernels import in_memory
 from ..mitsuba_compat import MINIMAL, SURFACE, has_normals, recompute_box
 from ..settings.values import Period
+from .bsdf_trial import check_works, warn_of_roughness
 from .digest import digest
-from .media import media_of
+from .media import check_media, media_of, phase_defect
 from .plane import Plane
 from .rays import RETREAT, START, SURFACE_OFFSET, escapes, intersect
-from .scene_objects import holds_foreign_plugins, traversed
+from .scene_objects import holds_foreign_plugins, own_settings, traversed
 from .shapes import (
+    Corners,
     bounds,
     encloses_medium,
     farthest,
@@ -35,36 +38,35 @@ from .shapes import (
     transmits,
     walls_in_sides,
 )
+from .wavelengths import check_covered, check_files_cover, lanes_of
 
-# Rays that look for gaps, surfaces that each of them passes, and the part of them that
-# meets thin ones from which on it is worth a warning: near the edges of rough glass
-# some do.
+# Rays that look for gaps, the most surfaces that each passes, and the fraction of rays
+# in thin gaps that is worth a warning: some are near the edges of rough glass.
 N_POINTS = 2**12
 MAX_PASSED = 16
 MAX_THIN = 2.0**-9
 
-# Characters of a BSDF's description in the record: nested ones of principled have 1500.
+# Characters of a BSDF's description in the record: nested principled ones have 1500.
 MAX_DESCRIPTION = 4000
 
-# Copies of geometry wider than its cell that rays look for in one cell.
+# Most copies of a geometry wider than its cell that reach into one cell.
 MAX_COPIES = 121
 
-# Extents in scene units that rays find their way in. In a box from -MAX_COORDINATE to
-# MAX_COORDINATE the product of four lengths, 2^128, exceeds single precision. As
-# measured, glass 4.2e9 wide has the bits of a small slab; from 8.4e9 rays find no way
-# out.
+# Extents in scene units in which rays can be traced. In a box from -MAX_COORDINATE to
+# MAX_COORDINATE the product of four lengths, 2^128, exceeds single precision. Measured:
+# glass 4.2e9 wide has the bits of a small slab; from 8.4e9 on, rays do not get out.
 MIN_WIDTH = 1e-9
 MAX_COORDINATE = 2.0**31
 
-# Relative error of reflectances by rays that start so far off a surface, in units of
-# its coordinates over the specimen's detail (as measured on grooves and spheres), and
-# from where it is worth a warning.
+# Relative error of reflectances due to the distance at which rays start off a surface,
+# in units of its coordinates over the specimen's detail (measured on grooves and
+# spheres), and the error that is worth a warning.
 OFFSET_ERROR = 2.0**-19
 MAX_OFFSET_ERROR = 1e-4
 
 
 class Box:
-    """Lengths of a specimen as its rays meet them: specimens of any size share kernels.
+    """Lengths of a specimen in memory: specimens of any size share kernels.
 
     Attributes
     ----------
@@ -96,104 +98,191 @@ class Box:
 
 
 class Specimen:
-    """The shapes of `scene` that emit nothing.
+    """The shapes of a scene that emit nothing, loaded, described and tried once.
+
+    Frozen, but not a dataclass: Dr.Jit would set its fields in recorded loops.
 
     Parameters
     ----------
-    scene : mi.Scene
+    source : mi.Scene
+        With its emitters, sensors and integrator.
     period : {"none", "box"} or (float, float)
         ``"none"``: the geometry is all there is. ``"box"``: its bounding box is a cell
         of an infinite surface, and what leaves through a side of it enters again
         through the opposite one. Extents in x and y: the same with a cell of that size
         about the middle of the box; geometry beyond it reaches into the next ones.
     name : str
-        What its user calls it.
-
-    Attributes
-    ----------
-    scene : mi.Scene
-        Specimen only: emitters do not stand in the way of what they light.
-    groups : list of mi.Shape
-        The shape groups that its instances repeat.
-    surfaces : list of mi.Shape
-        What light meets: shapes that are no instances, and what is in the groups.
-    media : list of mi.Medium
-        On either side of these.
-    low, high : ndarray, shape (3,)
-        Corners of the bounding box of the surfaces, in scene units; in x and y those of
-        the cell, if there is one.
-    box : Box
-        The same for kernels.
-    periodic : bool
-        Whether there is one.
-    shifts : ndarray, shape (n, 3)
-        From the geometry to each of its copies that reach into the cell.
-    plane : Plane or None
-        Set if the specimen is one flat rectangle, not periodic and without a medium.
-    description : str
-        Shapes and BSDFs in Mitsuba's words.
-    transmits : bool
-        Whether light may reach the other side, for all that is declared: true unless
-        the specimen is a flat rectangle whose BSDF has no transmitting component.
-    closed_to_light : bool
-        Whether no shape's BSDF has one.
+        Short name for records and messages.
+    files : sequence of (str, float, float)
+        Name of each spectral file of the plugin `measured`, and the first and last
+        wavelength of its data in nm.
 
     Raises
     ------
     SpecimenError
-        If there is no shape, something that the instrument does not model, or a cell
-        into which too many copies of the geometry reach.
+        If there is no shape, an unsupported one, or too many copies of the geometry
+        reach into a cell.
     """
 
+    source: mi.Scene
+    period: Period
+    name: str
+    files: Sequence[tuple[str, float, float]]
+
     def __init__(
-        self, scene: mi.Scene, period: Period = "none", name: str = "a scene"
+        self,
+        source: mi.Scene,
+        period: Period = "none",
+        name: str = "a scene",
+        files: Sequence[tuple[str, float, float]] = (),
     ) -> None:
-        self.name = name
-        everything = scene.shapes()
-        shapes = [shape for shape in everything if not shape.is_emitter()]
-        if not shapes:
+        vars(self).update(source=source, period=period, name=name, files=files)
+        if not self._shapes:
             raise SpecimenError(
                 "the scene must contain a shape to measure, got none: a BSDF alone "
                 "must be the root of its file, <bsdf ...> in place of <scene ...>"
             )
-        self.groups = groups_of(scene)
-        self.surfaces = surfaces_of(shapes, self.groups)
-        for shape in self.surfaces:
-            if isinstance(shape, mi.Mesh) and not shape.bbox().valid():
-                # merged from others by Mitsuba 3.9.1, which forgets to
-                recompute_box(shape)
-        self.media = media_of(self.surfaces)
-        self.scene = scene = scene_of(shapes, self.groups)
-        self.low, self.high = bounds(shapes)
-        if not (np.isfinite(self.low).all() and np.isfinite(self.high).all()):
-            raise SpecimenError(
-                f"the specimen must be of finite size, got {self.low} to {self.high}"
-            )
-        self.periodic = period != "none"
-        self.shifts = np.zeros((1, 3))
+        _ = self.scene
         if self.periodic:
-            self._set_cell(period)
             self._check_walls()
         self._check_extent()
-        self.box = Box(self)
-        self.closed_to_light = not any(map(transmits, self.surfaces))
-        traced = self.periodic or self.media
-        self.plane: Any = None if traced else self._plane(shapes)
+        _ = self.box  # not while a kernel is being recorded
         if self.plane is None:
             self._warn_of_distance()
-        self.transmits = self.plane is None or mi.has_flag(
+        if any(map(holds_foreign_plugins, self._shapes)):
+            _ = self.digest  # before plugins are called, which may count their calls
+        _ = self.description
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise FrozenInstanceError(f"cannot set {name} of a specimen: it is frozen")
+
+    @property
+    def own_settings(self) -> dict[str, Any]:
+        """Settings of the scene file, if it is a complete measurement."""
+        return own_settings(self.source)
+
+    @cached_property
+    def _shapes(self) -> list[mi.Shape]:
+        """Shapes of the scene that emit nothing."""
+        return [shape for shape in self.source.shapes() if not shape.is_emitter()]
+
+    @cached_property
+    def groups(self) -> list[mi.Shape]:
+        """Shape groups that its instances repeat."""
+        return groups_of(self.source)
+
+    @cached_property
+    def surfaces(self) -> list[mi.Shape]:
+        """Shapes that light meets: those of the groups, and all but instances."""
+        surfaces = surfaces_of(self._shapes, self.groups)
+        for shape in surfaces:
+            if isinstance(shape, mi.Mesh) and not shape.bbox().valid():
+                # Mitsuba 3.9.1 merges meshes without a bounding box
+                recompute_box(shape)
+        return surfaces
+
+    @cached_property
+    def media(self) -> list[mi.Medium]:
+        """Media on either side of the surfaces."""
+        return media_of(self.surfaces)
+
+    @cached_property
+    def scene(self) -> mi.Scene:
+        """Scene of the specimen only: emitters do not block their own light."""
+        _ = self.surfaces  # with boxes
+        return scene_of(self._shapes, self.groups)
+
+    @property
+    def periodic(self) -> bool:
+        """Whether the specimen is a cell of an infinite surface."""
+        return self.period != "none"
+
+    @cached_property
+    def _corners(self) -> tuple[Corners, Floats]:
+        """Corners of the bounding box or the cell, and the shifts of copies."""
+        low, high = bounds(self._shapes)
+        if not (np.isfinite(low).all() and np.isfinite(high).all()):
+            raise SpecimenError(
+                f"the specimen must be of finite size, got {low} to {high}"
+            )
+        shifts = np.zeros((1, 3))
+        if self.periodic:
+            extent = (high - low)[:2]
+            cell: Any = extent if self.period == "box" else np.array(self.period)
+            wide = cell < extent * (1 - 2.0**-20)
+            if np.any(wide):
+                shifts = self._copies(extent, cell, wide)
+            # to the bit where cell and geometry are equal
+            alike = ~wide & (cell < extent * (1 + 2.0**-20))
+            margin = (np.where(alike, extent, cell) - extent) / 2
+            low[:2] -= margin
+            high[:2] += margin
+        return (low, high), shifts
+
+    @property
+    def low(self) -> Floats:
+        """Lower corner of the bounding box in scene units; in x and y, of the cell."""
+        return self._corners[0][0]
+
+    @property
+    def high(self) -> Floats:
+        """Upper corner, likewise."""
+        return self._corners[0][1]
+
+    @property
+    def shifts(self) -> Floats:
+        """Shifts of the copies that reach into the cell, shape ``(n, 3)``."""
+        return self._corners[1]
+
+    @cached_property
+    def box(self) -> Box:
+        """Its corners and extents for kernels."""
+        return Box(self)
+
+    @cached_property
+    def closed_to_light(self) -> bool:
+        """Whether no shape's BSDF has a transmitting component."""
+        return not any(map(transmits, self.surfaces))
+
+    @cached_property
+    def plane(self) -> Any:
+        """:class:`Plane` of a single rectangle parallel to z = 0 without a medium.
+
+        None for all other specimens, and for periodic ones.
+        """
+        (shape, *others), (low, high) = self._shapes, self._corners[0]
+        if self.periodic or self.media or others or shape.class_name() != "Rectangle":
+            return None
+        if low[2] != high[2]:
+            return None
+        above = mi.Point3f(((low + high) / 2 + [0, 0, 1]).tolist())
+        ray = mi.Ray3f(above, mi.Vector3f(0, 0, -1))
+        si = intersect(self.scene, ray, SURFACE, True)
+        dr.make_opaque(si)
+        bsdf = shape.bsdf()
+        return Plane(bsdf, si, by_ray=holds_foreign_plugins(bsdf))
+
+    @cached_property
+    def transmits(self) -> bool:
+        """Whether light may reach the other side, as far as declared.
+
+        False only for a flat rectangle whose BSDF has no transmitting component.
+        """
+        return self.plane is None or mi.has_flag(
             self.plane.bsdf.flags(), mi.BSDFFlags.Transmission
         )
-        if any(map(holds_foreign_plugins, shapes)):
-            self.digest  # noqa: B018, before plugins are called, which may count that
+
+    @cached_property
+    def description(self) -> str:
+        """Shapes and BSDFs in Mitsuba's words."""
         parts = list(map(_describe, self.surfaces[:4]))
         if len(self.surfaces) > 4:
             parts.append(f"and {len(self.surfaces) - 4} more shapes")
-        self.description = "; ".join(parts)
+        return "; ".join(parts)
 
     @cached_property
     def measured_patches(self) -> tuple[Subdivision | None, ...]:
-        """Patches in which a flat specimen's material was measured itself.
+        """Patches in which the material of a flat specimen was measured.
 
         Lit from the front, and from the back: those that a BSDF declares as `patches`;
         None of others, and of geometry, whose light is not that of one surface.
@@ -223,7 +312,7 @@ class Specimen:
 
     @cached_property
     def radius(self) -> float:
-        """Of the sphere about the origin that holds the surfaces, or the cell."""
+        """Radius of the sphere about the origin that holds the surfaces or the cell."""
         if self.periodic:
             corner = np.abs([self.low, self.high]).max(axis=0)
             return float(np.linalg.norm(corner))
@@ -231,7 +320,7 @@ class Specimen:
 
     @property
     def detail(self) -> float:
-        """Smallest extent of the bounding box that is not 0, and the furthest shift."""
+        """Smallest non-zero extent of the bounding box, plus the largest shift."""
         extents = self.high - self.low
         least = float(extents[extents > 1e-6 * extents.max()].min())
         return least + float(np.abs(self.shifts).max())
@@ -270,10 +359,64 @@ class Specimen:
         dr.eval(ray)
         return ray
 
-    def thin_gaps(self) -> list[str]:
-        """Sentence on surfaces so near to another that light may pass it unseen.
+    def tried(
+        self, wavelengths: Sequence[float], functions: Callable[[Any], set[str]]
+    ) -> tuple[str, ...]:
+        """Try its BSDFs and media once; return sentences on defects.
 
-        None if there are none, or if no light gets between them.
+        Defects do not prevent a measurement; each gives a warning.
+
+        Parameters
+        ----------
+        wavelengths : sequence of float
+            In nm, of a spectral variant.
+        functions : callable
+            Returns the names of the functions that are called on a BSDF.
+
+        Raises
+        ------
+        SpecimenError
+            If it has no data at a wavelength, or light cannot reach a medium.
+        Exception
+            Whatever a BSDF raises.
+        """
+        key = tuple(wavelengths), functions
+        if key not in self._trials:
+            self._trials[key] = self._try(*key)
+        return self._trials[key]
+
+    @cached_property
+    def _trials(self) -> dict[Any, tuple[str, ...]]:
+        """Defects by wavelengths and functions, shared by directions and orders."""
+        return {}
+
+    def _try(
+        self, wavelengths: Sequence[float], functions: Callable[[Any], set[str]]
+    ) -> tuple[str, ...]:
+        """Try its BSDFs and media, and look for thin gaps."""
+        lanes = lanes_of(wavelengths)
+        bsdfs = [surface.bsdf() for surface in self.surfaces]
+        if mi.is_spectral:
+            check_files_cover(self.files, wavelengths)
+        check_works(bsdfs, lanes[0], functions)
+        warn_of_roughness(bsdfs)
+        if mi.is_spectral:
+            check_covered([*bsdfs, *self.media], wavelengths)
+        if self.media:
+            check_media(self, lanes)
+        _ = self.digest  # evaluates its objects' data, and kernels have other bits then
+        phases = [medium.phase_function() for medium in self.media]
+        box = self.low, self.high
+        found = filter(None, (phase_defect(phase, lanes[0], *box) for phase in phases))
+        sentences = tuple(dict.fromkeys([*self.thin_gaps(), *found]))
+        for sentence in sentences:
+            warn(sentence)
+        return sentences
+
+    def thin_gaps(self) -> list[str]:
+        """Sentence on surfaces so close together that rays may miss one of them.
+
+        Empty if there are none, or if no light gets between them.
         """
         if self.closed_to_light or self.plane is not None:
             return []
@@ -296,10 +439,10 @@ class Specimen:
         ]
 
     def _thin(self, ray: mi.Ray3f, least: float) -> float:
-        """Part of the rays that pass a gap of less than `least`.
+        """Fraction of the rays that pass a gap of less than `least`.
 
-        They go straight on through all that transmits. Looking back from `least` behind
-        each surface that they meet, they see the same one if there is no gap.
+        They go straight through all surfaces that transmit. Looking back from `least`
+        behind each surface, a ray sees the same one if there is no gap.
         """
         through = {
             _number(mi.ShapePtr(shape))[0]
@@ -330,7 +473,7 @@ class Specimen:
 
     @cached_property
     def edges(self) -> str | None:
-        """Without a period ``closed``, or ``open``: it may stand for a larger surface.
+        """``closed``, or ``open`` if it may be part of a larger surface.
 
         Of a few thousand rays to points all over the box, all that are vertical meet an
         open surface, and some of the others meet it from behind: a height field, or a
@@ -356,7 +499,7 @@ class Specimen:
         return "closed" if around else "open"
 
     def _is_closed_along(self, axis: Floats, aim: mi.Point3f) -> bool:
-        """Whether rays to and fro along an axis all meet one side of surfaces."""
+        """Whether rays in both directions along an axis all meet one side."""
         cosines, (size,) = [], in_memory([self.size])
         for end in (axis, -axis):
             d = mi.Vector3f(in_memory(end))  # one kernel for all axes
@@ -369,13 +512,13 @@ class Specimen:
 
     @cached_property
     def is_height_map(self) -> bool:
-        """Whether it is one mesh of heights over all of a periodic cell."""
+        """Whether it is one mesh of heights that fills a periodic cell."""
         if len(self.shifts) > 1 or not self.periodic or len(self.scene.shapes()) > 1:
             return False
         return is_height_map(self.surfaces[0], self.box.low, self.box.high)
 
     def _check_extent(self) -> None:
-        """Raise SpecimenError for what light cannot meet, or float32 not tell apart."""
+        """Raise SpecimenError for extents that single precision cannot trace."""
         extent = (self.high - self.low)[:2]
         if extent.min() < MIN_WIDTH or self.reach > MAX_COORDINATE:
             raise SpecimenError(
@@ -385,7 +528,7 @@ class Specimen:
             )
 
     def _warn_of_distance(self) -> None:
-        """Warn of what single precision does to geometry far from the origin."""
+        """Warn of rounding errors of geometry far from the origin."""
         error = (self.reach - self.size) * OFFSET_ERROR / self.detail
         if error > MAX_OFFSET_ERROR:
             warn(
@@ -412,22 +555,8 @@ class Specimen:
                 "walls, for they send light astray and back"
             )
 
-    def _set_cell(self, period: Period) -> None:
-        """Put the cell's sides into the place of the bounding box's."""
-        extent = (self.high - self.low)[:2]
-        cell: Any = extent if period == "box" else np.array(period)
-        wide = cell < extent * (1 - 2.0**-20)
-        if np.any(wide):
-            self._set_copies(extent, cell, wide)
-        # where cell and geometry are equal, to the bit
-        alike = ~wide & (cell < extent * (1 + 2.0**-20))
-        cell = np.where(alike, extent, cell)
-        margin = (cell - extent) / 2
-        self.low[:2] -= margin
-        self.high[:2] += margin
-
-    def _set_copies(self, extent: Floats, cell: Floats, wide: Flags) -> None:
-        """Set the shifts of the copies that reach into the cell or touch it."""
+    def _copies(self, extent: Floats, cell: Floats, wide: Flags) -> Floats:
+        """Shifts of the copies of the geometry that reach into or touch the cell."""
         if not all(medium.is_homogeneous() for medium in self.media):
             raise SpecimenError(
                 "period must hold the geometry of a medium that varies, which is "
@@ -442,30 +571,16 @@ class Specimen:
                 f"got {cell[0]:g} x {cell[1]:g} and {n} copies"
             )
         x, y = (size * np.arange(-k, k + 1) for size, k in zip(cell, most))
-        self.shifts = np.array([(a, b, 0.0) for a in x for b in y])
-
-    def _plane(self, shapes: Sequence[mi.Shape]) -> Plane | None:
-        """:class:`Plane` if the specimen is a single rectangle parallel to z = 0."""
-        if len(shapes) > 1 or shapes[0].class_name() != "Rectangle":
-            return None
-        if self.low[2] != self.high[2]:
-            return None
-        centre = (self.low + self.high) / 2
-        above = mi.Point3f((centre + [0, 0, 1]).tolist())
-        ray = mi.Ray3f(above, mi.Vector3f(0, 0, -1))
-        si = intersect(self.scene, ray, SURFACE, True)
-        dr.make_opaque(si)
-        bsdf = shapes[0].bsdf()
-        return Plane(bsdf, si, by_ray=holds_foreign_plugins(bsdf))
+        return np.array([(a, b, 0.0) for a in x for b in y])
 
 
 def _number(shapes: mi.ShapePtr) -> Integers:
-    """What tells shapes from others."""
+    """Numbers that identify shapes."""
     return dr.reinterpret_array(mi.UInt32, shapes).numpy()
 
 
 def _describe(shape: mi.Shape) -> str:
-    """One line on a shape and its BSDF, without large arrays."""
+    """Describe a shape and its BSDF in one line, without large arrays."""
     # of a mesh, its file or what a height field has to say
     name = re.search(r'\bname = "([^"]*)"', _text(shape)) if shape.is_mesh() else None
     label = f"{shape.class_name()} {name[1]}" if name else shape.class_name()

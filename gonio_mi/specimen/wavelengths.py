@@ -30,11 +30,44 @@ def wavelength_lanes(nm: tuple[float, ...] | None) -> mi.UnpolarizedSpectrum:
     return lanes
 
 
+def lanes_of(nm: Any) -> list[mi.UnpolarizedSpectrum]:
+    """Wavelengths of each pass, as Mitsuba takes them."""
+    return [wavelength_lanes(part) for part in passes(nm)]
+
+
 def channel_names(nm: Any, channels: int) -> tuple[str, ...]:
     """Names of the channels of a tally: wavelengths, colours or luminance."""
     if mi.is_spectral:
         return tuple(f"{x:g}nm" for x in nm)
     return ("Y",) if channels == 1 else ("R", "G", "B")
+
+
+def check_files_cover(
+    files: Iterable[tuple[str, float, float]], nm: Sequence[float]
+) -> None:
+    """Raise :class:`SpecimenError` if a measured file has no data at a wavelength.
+
+    Mitsuba would extrapolate with the data at the end of its range.
+
+    Parameters
+    ----------
+    files : sequence of (str, float, float)
+        As of :class:`~gonio_mi.specimen.specimen.Specimen`.
+    nm : sequence of float
+        Wavelengths of the measurement.
+    """
+    for name, low, high in files:
+        _check_within(name, low, high, nm)
+
+
+def _check_within(name: str, low: float, high: float, nm: Iterable[float]) -> None:
+    """Raise SpecimenError for a wavelength out of range, in single precision."""
+    for x in nm:
+        if not low <= np.float32(x) <= high:
+            raise SpecimenError(
+                f"{name} covers the wavelengths from {low:g} to {high:g} nm, "
+                f"got {x:g} nm"
+            )
 
 
 # Points of a texture and wavelengths within its range where it is looked at.
@@ -67,10 +100,7 @@ def check_covered(things: Iterable[Any], nm: Sequence[float]) -> None:
                 low, high = _range(part)
                 beyond = [x for x in nm if not low <= np.float32(x) <= high]
                 if beyond and (not leaf or _ends(part, low, high, beyond)):
-                    raise SpecimenError(
-                        f"{_label(thing, scene, part)} covers the wavelengths from "
-                        f"{low:g} to {high:g} nm, got {beyond[0]:g} nm"
-                    )
+                    _check_within(_label(thing, scene, part), low, high, beyond)
 
 
 def _range(part: Any) -> tuple[Any, Any]:

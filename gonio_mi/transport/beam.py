@@ -16,7 +16,7 @@ from ..collector.directions import angles
 from ..errors import SpecimenError
 from ..kernels import in_memory
 from ..specimen.specimen import Specimen
-from ..specimen.wavelengths import passes, wavelength_lanes
+from ..specimen.wavelengths import lanes_of
 from .collector_sphere import DRJIT
 from .outline import Outline
 from .polarisation import power_of
@@ -458,11 +458,11 @@ class Beam:
     ) -> Floats:
         """Mean weight of rays from `p`, of each channel: of each of `nm`, if any."""
         weights = []
-        for part in passes(nm):
-            weight = self._towards(p, sample, wavelength_lanes(part), n)[2]
+        for lanes in lanes_of(nm):
+            weight = self._towards(p, sample, lanes, n)[2]
             means = np.array(weight, dtype=float).reshape(len(weight), -1).mean(axis=1)
-            weights += means[: None if part is None else len(part)].tolist()
-        return np.array(weights)
+            weights += means.tolist()
+        return np.array(weights[: None if nm is None else len(nm)])
 
     def _nearest(self) -> mi.Point3f:
         """Point of the footprint, or of the box about it, nearest to the emitter.

@@ -25,6 +25,7 @@ from gonio_mi.collector.directions import direction
 from gonio_mi.collector.klems import Klems
 from gonio_mi.errors import SettingError
 from gonio_mi.exchange.formats import radiance
+from gonio_mi.specimen import loading
 
 SCENES = Path(__file__).parents[2] / "scenes"
 ANGLES = {"gloss20": 20, "gloss60": 60, "gloss85": 85}
@@ -336,6 +337,16 @@ def test_half_widths_of_a_lobe():
 
 
 # ---------------------------------------------------------------- sums of any patches
+
+
+def test_a_specimen_is_loaded_once_for_all_quantities(monkeypatch, tmp_path):
+    """By both geometries of light; twin: a campaign loads it from its description."""
+    load, loads = loading._scene, []
+    monkeypatch.setattr(loading, "_scene", lambda *how: loads.append(1) or load(*how))
+    gonio.quantity(["gloss20", "gloss60"], WHITE, rays=1000)
+    assert len(loads) == 1
+    gonio.quantity("gloss20", WHITE, rays=1000, folder=tmp_path)
+    assert len(loads) == 3
 
 
 def test_sharing_rays_changes_nothing():

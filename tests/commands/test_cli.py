@@ -316,11 +316,8 @@ BAD_SPECIMENS = [
     ("difuse", "not found; did you mean diffuse?\n"),
     ("diffuse --phi_i=5", "--phi_i; did you mean --phi-i?\n"),
     ("nothing", '"nothing" not found; import your own plugins first, or name'),
-    ("diffuse:rho=1", "diffuse has no use for rho; it knows reflectance\n"),
-    (
-        "dielectric:ior=1.5",
-        "ior; it knows ext_ior, int_ior, specular_reflectance, specular_transmitta",
-    ),
+    ("diffuse:rho=1", "the plugin diffuse has no use for rho\n"),
+    ("dielectric:eta=1.5", "the plugin dielectric has no use for eta\n"),
     (
         "glossymixture:diffuse=1",
         "; it knows diffuse_reflectance, exponent, normalisation, specular_reflect",

@@ -24,8 +24,7 @@ from ...errors import (
 )
 from ...progress import counted
 from ...results.record import Record
-from ...specimen.loading import load_specimen, loaded_once
-from ...specimen.specimen import Specimen
+from ...specimen.loading import specimen_of
 from ...specimen.specimen_text import SpecimenLike
 from ..comparison.measure_like import far_source
 from .definitions import DEFINITIONS, GROUPS, Definition, Range
@@ -157,23 +156,24 @@ def quantities(
     parts = [part for one in asked.values() for part in (one, one.minus) if part]
     records: dict[int, Record] = {}
     stopped = False
-    with loaded_once():
-        given = settings.get("parameters"), settings.get("period")
-        loaded = Specimen(load_specimen(specimen, *given))
-        extent, limits = loaded.reach, PatchLimits(loaded)
-        for group in counted(_groups(parts), progress, unit="geometry"):
-            decided = _light(group[0], extent) | {"collector": _collector(group, phi_i)}
-            try:
-                record = measure(specimen, phi_i=phi_i, **settings, **decided)
-            except KeyboardInterrupt:
-                stopped = True
-                break
-            records |= {id(one): record for one in group}
-            if not (record.flux_fraction.any() or record.ledger.missed):
-                text = "no light leaves the specimen: from behind a one-sided BSDF is "
-                warn(f"{text}black, unless it is nested in the plugin twosided")
-            if stopped := record.provenance.interrupted:
-                break
+    loaded = specimen_of(specimen, settings.get("parameters"), settings.get("period"))
+    extent, limits = loaded.reach, PatchLimits(loaded)
+    # a campaign passes the description on to its folder and its workers
+    elsewhere = any(settings.get(name) is not None for name in ("executor", "folder"))
+    measured = specimen if elsewhere else loaded
+    for group in counted(_groups(parts), progress, unit="geometry"):
+        decided = _light(group[0], extent) | {"collector": _collector(group, phi_i)}
+        try:
+            record = measure(measured, phi_i=phi_i, **settings, **decided)
+        except KeyboardInterrupt:
+            stopped = True
+            break
+        records |= {id(one): record for one in group}
+        if not (record.flux_fraction.any() or record.ledger.missed):
+            text = "no light leaves the specimen: from behind a one-sided BSDF is "
+            warn(f"{text}black, unless it is nested in the plugin twosided")
+        if stopped := record.provenance.interrupted:
+            break
     found = []
     for one, own in asked.items():
         if not {id(part) for part in (own, own.minus) if part} <= records.keys():

@@ -9,10 +9,12 @@ import mitsuba as mi
 from gonio_mi.errors import SpecimenError
 from gonio_mi.instrument.measure import send_all
 from gonio_mi.instrument.recording import records_of
-from gonio_mi.instrument.setup import own_settings, set_up
+from gonio_mi.instrument.setup import set_up
 from gonio_mi.kernels import launches_kernels
 from gonio_mi.results.tally import Tally
 from gonio_mi.settings import INTEGRATOR, MeasurementSettings, plugin_table
+from gonio_mi.specimen.scene_objects import own_settings
+from gonio_mi.specimen.specimen import Specimen
 from gonio_mi.variants import check_variant, is_parallel
 
 
@@ -68,7 +70,7 @@ class Goniophotometer(mi.SamplingIntegrator):
         own = self.settings.of_plugin(INTEGRATOR) | own_settings(scene, sensor)
         here = {"seed": int(mi.UInt32(seed)[0]), "rays": spp or self.settings.rays}
         settings = MeasurementSettings().changed(**own | here)
-        setups = set_up(scene, settings)
+        setups = set_up(Specimen(scene, settings.period), settings)
         finished: list[list[Tally]] = [[]]
         (stack,) = records_of(setups, finished, send_all(setups, finished))
         sensor.film().record = stack[0]

@@ -3,13 +3,14 @@
 All is exact. Processes are killed for real.
 """
 
+import gc
 import os
 import random
 import signal
 import subprocess
 import sys
-import threading
 import time
+import weakref
 from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
 from pathlib import Path
 
@@ -286,35 +287,23 @@ def test_a_specimen_is_loaded_once_in_a_row(tmp_path, monkeypatch):
     for number, theta_i in enumerate((0, 30, 60)):
         assert gonio.measure(plate, theta_i, **how).tallies == found[number].tallies
     assert len(loads) == 4
-    with loading.loaded_once():
-        one, other = loading.load_specimen(plate), loading.load_specimen(dict(plate))
-        assert one is not other
-        assert loading.load_specimen(plate, {"n": 1}) is not one
-        one = loading.load_specimen(plate, {"n": 1})
-        assert loading.load_specimen(plate, {"n": 1}) is one
-        assert loading.load_specimen(plate, {"n": 2}) is not one
 
 
-def test_a_campaign_in_another_thread_keeps_no_specimen_here():
-    """What is changed is measured as it is, while it is at work and afterwards."""
-    at_work, over = threading.Event(), threading.Event()
+def test_an_error_keeps_no_specimen(monkeypatch):
+    """Its traceback would let it take part in all kernels from then on."""
+    load, made = tasks.specimen_of, []
 
-    def campaign():
-        with loading.loaded_once():
-            loading.load_specimen({"type": "diffuse"})
-            at_work.set()
-            over.wait()
+    def loads(*how):
+        specimen = load(*how)
+        made.append(weakref.ref(specimen))
+        return specimen
 
-    other = threading.Thread(target=campaign)
-    other.start()
-    at_work.wait()
-    plate, how = {"type": "diffuse", "reflectance": 0.2}, {"rays": 100}
-    with loading.loaded_once():
-        over.set()
-        other.join()
-    gonio.measure(plate, 0, **how)
-    plate["reflectance"] = 0.8
-    assert gonio.measure(plate, 0, **how).dhr == pytest.approx([0.8], rel=1e-6)
+    monkeypatch.setattr(tasks, "specimen_of", loads)
+    with pytest.raises(gonio.SpecimenError, match="must enclose") as error:
+        gonio.campaign({"ball": {"type": "sphere"}}, [0], collector_radius=0.5)
+    gc.collect()
+    assert error.tb is not None
+    assert [one() for one in made] == [None]
 
 
 def test_tensors_of_a_specimen_stay():

@@ -17,6 +17,7 @@ from gonio_mi.instrument.launcher import Launcher
 from gonio_mi.instrument.setup import set_up
 from gonio_mi.mitsuba_compat import triangles_of
 from gonio_mi.settings import MeasurementSettings
+from gonio_mi.specimen.specimen import Specimen
 
 HOW = {"period": "box", "collector": "projected:8x12"}
 RAYS = 2**17
@@ -45,7 +46,9 @@ def known(shape, theta_i=30.0, phi_i=0.0, **settings):
     is_scene = isinstance(shape, dict) and shape["type"] == "scene"
     scene = mi.load_dict(shape if is_scene else {"type": "scene", "shape": shape})
     how = {"estimator": "next_event", **HOW, **settings}
-    (setup,) = set_up(scene, MeasurementSettings().changed(**how), [(theta_i, phi_i)])
+    settings = MeasurementSettings().changed(**how)
+    specimen = Specimen(scene, settings.period)
+    (setup,) = set_up(specimen, settings, [(theta_i, phi_i)])
     return setup.method.control(setup, mi.Color0f())
 
 
@@ -172,7 +175,7 @@ def test_no_line_enters_a_wall_in_two_cells(theta_i):
     slope, n, phi_i = 80, 2**11, 20
     scene = mi.load_dict({"type": "scene", "shape": groove(slope, 0)})
     how = MeasurementSettings().changed(estimator="next_event", **HOW)
-    (setup,) = set_up(scene, how, [(theta_i, phi_i)])
+    (setup,) = set_up(Specimen(scene, how.period), how, [(theta_i, phi_i)])
     facets, d = (
         MirrorFacets(setup, mi.Color0f()),
         -np.ravel(setup.beam.wi).astype(float),

@@ -740,12 +740,17 @@ def test_the_variant_that_a_material_needs_is_named(material):
     assert load_specimen(as_dict(path)).shapes()
 
 
+def spectral_material(material):
+    """Name of a file with data from 450 to 650 nm."""
+    spectra = np.repeat(FIELDS["rgb"][:, :, :1], 2, axis=2)
+    nm = np.array([450, 650], np.float32)
+    return material(rgb=None, wavelengths=nm, spectra=spectra)
+
+
 @pytest.mark.parametrize("form", [as_dict, as_scene, as_included])
 def test_a_material_ends_with_its_wavelengths(material, form):
     """Mitsuba goes on with the last ones: 900 nm were measured as 650."""
-    grey = FIELDS["rgb"][:, :, :1]
-    nm = np.array([450, 650], np.float32)
-    name = material(rgb=None, wavelengths=nm, spectra=np.repeat(grey, 2, axis=2))
+    name = spectral_material(material)
     settings = {"theta_i": 30, "rays": 1000, "collector": "projected:3x3"}
     mi.set_variant("llvm_ad_spectral")
     inside = gonio.measure(form(name), wavelengths=[450, 550, 650], **settings)
@@ -753,6 +758,17 @@ def test_a_material_ends_with_its_wavelengths(material, form):
     said = r"m\.bsdf covers the wavelengths from 450 to 650 nm, got 900 nm"
     with pytest.raises(gonio.SpecimenError, match=said):
         gonio.measure(form(name), wavelengths=[550, 900], **settings)
+
+
+@pytest.mark.needs("analysis")
+def test_a_profile_ends_with_the_wavelengths_of_a_material(material):
+    """Like a measurement."""
+    specimen = as_dict(spectral_material(material))
+    mi.set_variant("llvm_ad_spectral")
+    found = gonio.exit_profile(specimen, [0, 1], 30, wavelengths=[550], rays=1000)
+    assert found.ledger.emitted == 1000
+    with pytest.raises(gonio.SpecimenError, match="450 to 650 nm, got 900 nm"):
+        gonio.exit_profile(specimen, [0, 1], 30, wavelengths=[550, 900], rays=1000)
 
 
 BAD_FIELDS = [

@@ -339,27 +339,30 @@ def task_of_plate():
 def test_nobody_records_while_a_task_is_at_work(monkeypatch):
     """Also while its specimen is looked at: rays of others were lost."""
     seen = []
-    measure, specimen = tasks.measure_each, tasks.Specimen
+    measure, load = tasks.measure_each, tasks.specimen_of
 
     def measures(*arguments, **settings):
         seen.append(others_may_record())
         return measure(*arguments, **settings)
 
-    def looks_at(scene):
+    def looks_at(*arguments):
         seen.append(others_may_record())
-        return specimen(scene)
+        return load(*arguments)
 
     monkeypatch.setattr(tasks, "measure_each", measures)
-    monkeypatch.setattr(tasks, "Specimen", looks_at)
+    monkeypatch.setattr(tasks, "specimen_of", looks_at)
     task = task_of_plate()
-    assert task.digests()["digest"] == task.run().provenance.digest
-    assert seen == [False] * 2
+    assert task.digests()["digest"] == tasks.run_task(task).provenance.digest
+    assert seen == [False] * 3
     assert others_may_record()
 
 
 @pytest.mark.parametrize(
     "measure",
-    [lambda: measure_whole(PLATE, 30, **SMALL), lambda: task_of_plate().run()],
+    [
+        lambda: measure_whole(PLATE, 30, **SMALL),
+        lambda: tasks.run_task(task_of_plate()),
+    ],
     ids=["whole", "task"],
 )
 def test_warnings_of_other_threads_are_heard(measure, monkeypatch):

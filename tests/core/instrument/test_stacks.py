@@ -13,7 +13,7 @@ from gonio_mi.instrument import launcher, schedule
 from gonio_mi.instrument.setup import set_up
 from gonio_mi.results.tally import batch_sizes
 from gonio_mi.settings import MeasurementSettings
-from gonio_mi.specimen.loading import load_specimen
+from gonio_mi.specimen.loading import specimen_of
 
 GLASS = {"type": "roughdielectric", "alpha": 0.3}
 MATT = {"type": "twosided", "bsdf": {"type": "diffuse"}}
@@ -66,7 +66,7 @@ def test_directions_are_the_nearest_of_single_precision(side):
     """Exact, of the first and of those turned from it."""
     incidents = [(7.0 * i, 31.0 * i) for i in range(13)]
     settings = MeasurementSettings(side=side)
-    setups = set_up(load_specimen(MATT), settings, incidents)
+    setups = set_up(specimen_of(MATT), settings, incidents)
     wanted = direction(*np.radians(incidents).T)
     wanted[:, 2] *= 1 if side == "front" else -1
     found = [np.ravel(np.array(setup.beam.wi)) for setup in setups]
@@ -196,8 +196,8 @@ def test_launches_send_no_more_points_than_sums_hold(points, sampler):
 
     def sent(points):
         settings = {"estimator": "next_event", "points": points, "sampler": sampler}
-        scene = load_specimen({"type": "sphere"}, None, None)
-        setups = set_up(scene, MeasurementSettings(**settings), [(0.0, 0.0)])
+        sphere = specimen_of({"type": "sphere"})
+        setups = set_up(sphere, MeasurementSettings(**settings), [(0.0, 0.0)])
         sends = launcher.Launcher(setups)
         sends.size.rays = 2**40
         ((one,), *_) = sends.plan(setups, schedule.Round((2**25,) * 16))
@@ -212,8 +212,8 @@ def test_launches_send_no_more_points_than_sums_hold(points, sampler):
 def test_plan_sends_each_ray_of_each_batch_once(shape, n, rays, launches):
     """Exact, and nothing is launched for it."""
     settings = MeasurementSettings(rays=rays, batches=7, collector="projected:3x4")
-    scene = load_specimen({"type": shape}, None, None)
-    setups = set_up(scene, settings, [(5.0 * i, 0.0) for i in range(n)])
+    specimen = specimen_of({"type": shape})
+    setups = set_up(specimen, settings, [(5.0 * i, 0.0) for i in range(n)])
     sends = launcher.Launcher(setups)
     sends.size.rays = 2**10
     part = schedule.Round(tuple(batch_sizes(rays, 7)))

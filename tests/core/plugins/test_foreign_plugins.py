@@ -290,7 +290,7 @@ def test_our_own_bugs_stay_ours(plugin, monkeypatch, capsys, tmp_path):
     monkeypatch.setenv("TMPDIR", str(tmp_path))  # where what a report needs is kept
     monkeypatch.setattr("tempfile.tempdir", None)
     # what is called with it fails in a line of ours
-    monkeypatch.setattr("gonio_mi.instrument.setup.check_works", None)
+    monkeypatch.setattr("gonio_mi.specimen.specimen.check_works", None)
     words = ["measure", "foreign_matte", "--theta-i", "30", "--plugin", str(plugin)]
     assert cli.main(words) == 1
     assert "this is a bug of gonio-mi" in capsys.readouterr().err

@@ -181,7 +181,7 @@ def test_the_command_line_measures_a_mesh(tmp_path, monkeypatch, capsys):
         in capsys.readouterr().out
     )
     for words, message in (
-        (["slat.obj"], "must come with what it is made of, such as --bsdf"),
+        (["slat.obj"], "must come with its material, such as --bsdf"),
         (["slat.obj", "--bsdf", "slat.obj"], "--bsdf must be a BSDF in one word"),
         (["slat.obj", "--bsdf", "rectangle"], "bsdf must be a BSDF, got 'rectangle'"),
         (["slat.obj", "--bsdf", "diffuse", "--form", "plane"], "--form applies to"),

@@ -16,8 +16,7 @@ from slabs import medium, stack
 
 import gonio_mi as gonio
 from gonio_mi import cli
-from gonio_mi.instrument import setup
-from gonio_mi.specimen import media
+from gonio_mi.specimen import media, specimen
 from gonio_mi.specimen.media import ask_phase_function, phase_defect
 from gonio_mi.specimen.wavelengths import wavelength_lanes
 
@@ -194,24 +193,28 @@ def test_a_thin_slab_of_flakes(tmp_path, capsys, diagonal, right):
     assert ("SGGXPhaseFunction disagree" in capsys.readouterr().out) == (not right)
 
 
+def campaign_of_one(scene, theta_i, **settings):
+    return gonio.campaign({"slab": scene}, theta_i, **settings)["slab"]
+
+
 def test_a_specimen_is_asked_once(monkeypatch):
-    """Once for all directions, and again if its numbers change; all records tell it."""
+    """Once for all directions of a measurement, a campaign's too; all records tell."""
     asked = []
 
     def counted(*args):
         asked.append(args)
         return phase_defect(*args)
 
-    monkeypatch.setattr(setup, "phase_defect", counted)
-    monkeypatch.setattr(setup, "_known_defects", {})
+    monkeypatch.setattr(specimen, "phase_defect", counted)
     told = []
-    for share in (0.02, 1.0, 0.02):
-        for theta_i in (0, 40):
+    for measure in (gonio.measure, campaign_of_one):
+        for share in (0.02, 1.0):
             scene = stack(medium(1e-3, 1.0, flakes(share, share, 1.0)))
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always")
-                record = gonio.measure(scene, theta_i, **ONCE, rays=100_000)
-            found = record.settings.get("defects", [])
-            assert len(found) == (share < 1)
+                stacked = measure(scene, [0, 40], **ONCE, rays=10_000)
+            for record in stacked:
+                found = record.settings.get("defects", [])
+                assert len(found) == (share < 1)
             told += [w for w in caught if str(w.message) in found]
-    assert (len(asked), len(told)) == (2, 1)
+    assert (len(asked), len(told)) == (4, 2)

@@ -9,7 +9,7 @@ from specimens import both_sided, lamp
 import gonio_mi as gonio
 from gonio_mi.instrument.setup import set_up
 from gonio_mi.settings import MeasurementSettings
-from gonio_mi.specimen.loading import load_specimen
+from gonio_mi.specimen.loading import specimen_of
 
 pytestmark = pytest.mark.usefixtures("spectral")
 
@@ -168,7 +168,7 @@ def test_covered_wavelengths(name):
     """Right inputs are not refused, at the ends of their data neither."""
     specimen, nm = COVERED[name]
     settings = MeasurementSettings().changed(wavelengths=nm)
-    (found,) = set_up(load_specimen(specimen()), settings, [(30.0, 0.0)])
+    (found,) = set_up(specimen_of(specimen()), settings, [(30.0, 0.0)])
     assert found.settings.wavelengths == tuple(nm)
 
 

@@ -126,6 +126,15 @@ def test_geometry_is_built_once():
     assert tallies(other) == again
 
 
+def test_a_specimen_is_frozen():
+    """Also what is found only when it is asked for."""
+    specimen = Specimen(ball(0.2))
+    for name in ("period", "scene", "digest"):
+        with pytest.raises(AttributeError, match=f"cannot set {name} of a specimen"):
+            setattr(specimen, name, "box")
+    assert specimen.period == "none"
+
+
 @pytest.mark.parametrize("parameter", ["field.vertex_positions", "sphere.to_world"])
 def test_changed_geometry_is_seen(parameter):
     """Exact: after a change of a mesh or a ball, what a new scene gives; same bits."""
