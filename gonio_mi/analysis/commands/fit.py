@@ -10,6 +10,7 @@ examples:
   gonio-mi fit principled:roughness=0.5 roughconductor
   gonio-mi fit run.npz roughconductor:distribution=ggx principled -o fits.png
   gonio-mi fit run.npz roughconductor:material=Al --free alpha_u alpha_v
+  gonio-mi fit table.csv roughplastic --start alpha=0.005
   gonio-mi fit table.csv roughplastic --quantity brdf -o fit.png fit.csv
   gonio-mi fit table.csv diffuse --uncertainty 0.01 --aperture-half-angle 1
   gonio-mi fit run.npz mybsdf:tint=0.5 --free weight=0:1 --plugin mybsdf.py
@@ -78,6 +79,9 @@ def add_options(parser: ArgumentParser) -> None:
     add_text(parser, "models", "MODEL", text, nargs="+")
     text = "Parameters to fit, or NAME=LOW:HIGH. Default: the usual ones of the model."
     add_text(parser, "--free", "NAME", text, nargs="+")
+    text = "Where the search for a parameter begins, such as alpha=0.01. Default: "
+    text += "usual values, of a roughness several."
+    add_text(parser, "--start", "NAME=VALUE", text, nargs="+", default=[])
     specimen = parser.add_argument_group("Specimen")
     several: dict[str, Any] = {"nargs": "+", "type": number}
     text = "Angles of incidence in [0, 90). Default: 24 45 66."
@@ -127,9 +131,10 @@ def run(options: Namespace) -> int:
         set_variant(variant_of(record))
         for path in options.plugin:
             load_plugin_file(path)
-    fits = []
+    start, fits = dict(map(_start_of, options.start)), []
     for model in chain(*map(_distributions, options.models)):
-        fits.append(fit(record, model, options.free, progress=True, **told))
+        found = fit(record, model, options.free, start=start, progress=True, **told)
+        fits.append(found)
         record, told = fits[-1].record, {}  # measured, or told, once
     fits.sort(key=lambda one: (one.scatter, one.chi2))
     for path in pictures:
@@ -149,6 +154,16 @@ def run(options: Namespace) -> int:
     for note in record.notes if is_table else [f"measured {record!r}"] * measured:
         write(f"note: {note}")
     return DONE
+
+
+def _start_of(word: str) -> tuple[str, float]:
+    """Name and value of a start, ``alpha=0.01``."""
+    name, _, value = word.partition("=")
+    try:
+        return name, float(value)
+    except ValueError:
+        what = f"--start must be NAME=VALUE such as alpha=0.01, got {word!r}"
+        raise SettingError(what) from None
 
 
 def _distributions(model: str) -> Iterator[str]:

@@ -24,7 +24,7 @@ from ...results.tally import without_chance
 from ...specimen.specimen_text import SpecimenLike, parse_specimen, specimen_name
 from ..comparison.comparison import known
 from ..comparison.measure_like import PRECISION_SETTINGS, first_that_can
-from .least_squares import FittedModel, Search
+from .least_squares import MAX_REDUCED_CHI2, MAX_SCATTER, FittedModel, Search
 from .observations import Observations, RecordObservations, TableObservations
 
 # Rounds of refined nodes and weights; a round is the last that moves no parameter by
@@ -42,6 +42,7 @@ def fit(
     model: str | Mapping[str, Any],
     free: Sequence[str] | None = None,
     *,
+    start: Mapping[str, float] | None = None,
     uncertainty: float | None = None,
     scale_uncertainty: float | None = None,
     aperture_half_angle: float | None = None,
@@ -80,6 +81,10 @@ def fit(
         base_color, roughness, metallic, specular. Mitsuba has air, of index 1.000277,
         outside unless ``ext_ior`` is said. Colours of three channels are within 0 and
         1, as Mitsuba loads no others: one that would pass 1 is in ``at_limit``.
+    start : mapping of str to float, optional
+        Where the search for some of them begins: ``{"alpha": 0.01}``. Default: for a
+        roughness 0.05, 0.15 and 0.4, and finer ones if none of these ends near what
+        was measured and within the limits.
     uncertainty, scale_uncertainty : float, optional
         Of the values of a table, as of :func:`gonio_mi.compare`. Default: what it says.
     aperture_half_angle : float, optional
@@ -110,7 +115,7 @@ def fit(
         "aperture_half_angle": aperture_half_angle,
     }
     if not isinstance(record, (Record, MeasuredTable)):
-        FittedModel(bsdf, free, ("Y",))  # refused before anything is measured
+        FittedModel(bsdf, free, ("Y",), start)  # refused before anything is measured
         record = _measured(record, settings, progress)
     elif given := [name for name in settings if settings[name] is not None]:
         kind = type(record).__name__
@@ -118,7 +123,7 @@ def fit(
     record = _as_told(record, {k: v for k, v in told.items() if v is not None})
     observations = _observations(record)
     channels = record.channels if isinstance(record, Record) else ("Y",)
-    fitted = FittedModel(bsdf, free, channels)
+    fitted = FittedModel(bsdf, free, channels, start)
     with bar(progress, desc=f"fit of {bsdf['type']}", unit="prediction") as report:
         search = Search(observations, fitted, report)
         values, covariance = _found(search)
@@ -238,10 +243,6 @@ def _check(record: Record) -> None:
     if np.isnan(record.brdf_std_err[record.brdf > 0]).any():
         raise SettingError("a fit needs a record with error bars, of several batches")
 
-
-# Chi-square per degree of freedom beyond which noise does not explain what is left; and
-# the relative distance of points from the model that may be noise of an instrument.
-MAX_REDUCED_CHI2, MAX_SCATTER = 1.5, 0.1
 
 # Hits from which standard errors are right: of 100 counted one by one, those of a
 # reflectance are a quarter too small (40 seeds), of 300 within chance.

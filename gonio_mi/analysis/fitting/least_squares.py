@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
 from ...array_types import Flags, Floats
-from ...errors import SettingError, SpecimenError, did_you_mean, shown
+from ...errors import (
+    SettingError,
+    SpecimenError,
+    checked_choice,
+    checked_number,
+    did_you_mean,
+    shown,
+)
 from ...specimen.loading import loaded
 from ...specimen.specimen_text import CALLED
 from .observations import Observations
@@ -23,6 +29,10 @@ REL_STEP = 3e-4
 # Steps from each start, and the relative change of the sum of squares or of values by a
 # step, after which the best of them is known.
 FIRST_STEPS, FIRST_CHANGE = 12, 1e-3
+
+# Chi-square per degree of freedom beyond which noise does not explain what is left; and
+# the relative distance of points from the model that may be noise of an instrument.
+MAX_REDUCED_CHI2, MAX_SCATTER = 1.5, 0.1
 
 # Standard errors by which a parameter changes the record all over its range, at least;
 # and the condition beyond which parameters do the same to it, as far as derivatives by
@@ -62,12 +72,22 @@ class Search:
         self._last = None
         for one in self._predictions:
             one.begin()
-        tried = []
-        for start in self.model.starts():
-            self._weigh(self.predicted(start))
-            found = self.minimum(start, FIRST_CHANGE, FIRST_CHANGE, FIRST_STEPS)
-            tried.append((self.misfit(self.predicted(found)), found))
-        return min(tried, key=lambda one: one[0])[1]
+        found = [self._first(start) for start in self.model.starts()]
+        if all(self._is_poor(*one) for one in found):
+            found += [self._first(start) for start in self.model.starts(finer=True)]
+        return min(found, key=lambda one: one[0])[1]
+
+    def _first(self, start: Floats) -> tuple[float, Floats]:
+        """Misfit and values of a minimum that a first search from here finds."""
+        self._weigh(self.predicted(start))
+        found = self.minimum(start, FIRST_CHANGE, FIRST_CHANGE, FIRST_STEPS)
+        return self.misfit(self.predicted(found)), found
+
+    def _is_poor(self, misfit: float, values: Floats) -> bool:
+        """Whether a minimum is at a limit, or far from what was observed."""
+        stated = all(one.stated for one in self.observations)
+        most = MAX_REDUCED_CHI2 if stated else MAX_SCATTER**2
+        return bool(self.at_limit(values).any() or misfit > most * self.values.size)
 
     def misfit(self, predicted: Floats) -> float:
         """Sum of squares by which minima and models are compared."""
@@ -182,8 +202,10 @@ FREE: dict[str, tuple[str, ...]] = {
 }
 
 # Where the search for a parameter begins, and its limits. Roughness decides where the
-# light is: it is begun with from several places.
+# light is: it is begun with from several places, and from finer ones if these fail.
 ROUGHNESS = ((0.05, 0.15, 0.4), 1e-3, 1.0)
+FINER = {"roughness": (0.06, 0.12)}
+FINER |= dict.fromkeys(("alpha", "alpha_u", "alpha_v"), (0.004, 0.015))
 FRACTION = ((0.5,), 0.0, 1.0)
 INDEX = ((1.5,), 1.01, 4.0)
 KNOWN: dict[str, tuple[tuple[float, ...], float, float]] = {
@@ -219,12 +241,15 @@ class Parameter:
         Values from which the search begins.
     low, high : float
         Its limits.
+    finer : tuple of float
+        Values from which it begins again, where it found nothing near.
     """
 
     name: str
     starts: tuple[float, ...]
     low: float
     high: float
+    finer: tuple[float, ...] = ()
 
     @classmethod
     def parse(cls, text: str) -> Parameter:
@@ -237,7 +262,7 @@ class Parameter:
                     f"or any with its limits as in weight=0:1, got {shown(text)}"
                     f"{did_you_mean(name, KNOWN)}"
                 )
-            return cls(name, *KNOWN[name])
+            return cls(name, *KNOWN[name], FINER.get(name, ()))
         try:
             low, high = map(float, limits.split(":"))
         except ValueError:
@@ -247,6 +272,12 @@ class Parameter:
                 f"free must give limits as in {name}=0:1, got {shown(text)}"
             )
         return cls(name, ((low + high) / 2,), low, high)
+
+    def begun_at(self, value: object) -> Parameter:
+        """The parameter whose search begins at one value, within its limits."""
+        limits = self.low, self.high, f"from {self.low:g} to {self.high:g}"
+        found = checked_number(f"start of {self.name}", value, *limits)
+        return replace(self, starts=(found,), finer=())
 
 
 class FittedModel:
@@ -261,6 +292,8 @@ class FittedModel:
     channels : sequence of str
         Those of the record; a colour has a parameter in each of R, G and B, and one
         for all wavelengths.
+    start : mapping of str to float, optional
+        Where the search for some of them begins.
     """
 
     def __init__(
@@ -268,6 +301,7 @@ class FittedModel:
         bsdf: Mapping[str, Any],
         free: Sequence[str] | None,
         channels: Sequence[str],
+        start: Mapping[str, float] | None = None,
     ) -> None:
         if free is None:
             kind = bsdf["type"]
@@ -289,6 +323,10 @@ class FittedModel:
             )
         if any(one.name.startswith("alpha_") for one in found):
             found = [one for one in found if one.name != "alpha"]
+        names = [one.name for one in found]
+        for name, value in (start or {}).items():
+            i = names.index(checked_choice("start", name, names))
+            found[i] = found[i].begun_at(value)
         self.fixed = dict(bsdf)
         self.channels = tuple(channels)
         self.parameters = tuple(part for one in found for part in self._by_channel(one))
@@ -332,13 +370,13 @@ class FittedModel:
         low, high = np.array([(p.low, p.high) for p in self.parameters]).T
         return low, high
 
-    def starts(self) -> list[Floats]:
-        """Values from which to begin: all of a roughness, the first of others."""
-        first = np.array([p.starts[0] for p in self.parameters])
-        rough = [bool(re.match("alpha|roughness", p.name)) for p in self.parameters]
-        most = max(len(p.starts) for p in self.parameters)
-        starts = [(p.starts * most)[:most] for p in self.parameters]
-        return [np.where(rough, start, first) for start in np.transpose(starts)]
+    def starts(self, finer: bool = False) -> list[Floats]:
+        """Values from which to begin, of a parameter with fewer in turn."""
+        if finer and not any(p.finer for p in self.parameters):
+            return []
+        each = [(finer and p.finer) or p.starts for p in self.parameters]
+        most = max(map(len, each))
+        return list(np.transpose([(one * most)[:most] for one in each]))
 
 
 class LoadedModel:

@@ -12,11 +12,19 @@ from ...files.measured_table import MeasuredTable
 from ...results.record import Record
 from ...results.tally import holds_integrals, without_chance
 from ...single_precision import FEW_ROUNDINGS
-from .predictions import ConePredictions, PatchPredictions
+from .predictions import (
+    INTEGRAL_ERR,
+    MIN_INTEGRAL_ERR,
+    ConePredictions,
+    PatchPredictions,
+)
 
-# Relative error of the integrals of a model, in no error bar of a record of integrals;
-# and the part of the mean below which values are uncertain alike.
-MODEL_INTEGRAL_ERR, MIN_RELATIVE_VALUE = 1e-4, 0.01
+# Part of the mean below which values without an uncertainty are uncertain alike.
+MIN_RELATIVE_VALUE = 0.01
+
+# Part that the error of a model's integrals may have of the standard error of a table's
+# values, but of the tenth of them that are known best: 0.5 % of the variance.
+MAX_INTEGRAL_PART, KNOWN_BEST = 0.07, 0.1
 
 
 class RecordObservations:
@@ -54,7 +62,7 @@ class RecordObservations:
         """Variances for weights: the record's, smoothed over the detectors' flux."""
         found = self._std_errs() ** 2
         if holds_integrals(self.single.tallies):
-            least = MODEL_INTEGRAL_ERR * (self.values + self.values.mean())
+            least = INTEGRAL_ERR * (self.values + self.values.mean())
             return found + least**2
         n, hits = len(self.single.channels), float(self._tally.hits.sum())
         columns = (one.reshape(-1, n).T for one in (found, predicted, self.values))
@@ -128,6 +136,12 @@ class TableObservations:
         ]
         self.order: Any = np.argsort(np.concatenate(rows))
         self.predictions = list(map(partial(_means, table), table.incident, rows))
+        self._mean = float(np.abs(self.values).mean())
+        if self.stated:
+            best = np.quantile(table.bsdf_std_err, KNOWN_BEST) / self._mean
+            wanted = np.clip(MAX_INTEGRAL_PART * best, MIN_INTEGRAL_ERR, INTEGRAL_ERR)
+            for one in self.predictions:
+                one.refine_to(float(wanted))
 
     def variances(self, predicted: Floats) -> Floats:
         """Variances for weights: the table's, or squares of what the model predicts.
@@ -154,7 +168,9 @@ class TableObservations:
             dof = max(self.table.degrees_of_freedom, 3.0)
             found = found * dof / (dof - 2)
         found = np.maximum(found, 0) + (relative * predicted) ** 2
-        return found + (MODEL_INTEGRAL_ERR * (np.abs(self.values).mean())) ** 2
+        # what the model's integrals may be wrong by; and the rounding of its values
+        least = max(one.integral_err for one in self.predictions)
+        return found + (max(least, FEW_ROUNDINGS) * self._mean) ** 2
 
     def count(self, variances: Floats) -> float:
         """How many values chi-square has."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import drjit as dr
@@ -22,8 +22,9 @@ from ...results.record import wavelengths_nm
 from ...specimen.wavelengths import passes, wavelength_lanes
 from ...transport.surface_events import flux_context
 
-# Relative error of each patch to which the nodes of the integrals are refined.
-INTEGRAL_ERR = 1e-4
+# Relative error of each patch to which the nodes of the integrals are refined, where
+# observations do not ask for less; the least that single precision of `eval` allows.
+INTEGRAL_ERR, MIN_INTEGRAL_ERR = 1e-4, 1e-6
 
 
 @dataclass(eq=False)
@@ -39,16 +40,27 @@ class Predictions:
         ``theta_i`` and ``phi_i`` in degrees.
     side : {"front", "back"}
     channels : sequence of str
+
+    Attributes
+    ----------
+    integral_err : float
+        Error of each value, relative to it or to the mean of all, to which `adapt`
+        refines the nodes; 0 for values without an integral.
     """
 
     incident: tuple[float, float]
     side: str
     channels: Sequence[str]
+    integral_err: float = field(default=INTEGRAL_ERR, init=False)
 
     def __post_init__(self) -> None:
         nm = wavelengths_nm(self.channels)
         self.passes = passes([] if nm is None else nm.tolist())
         self._nodes: list[Nodes] = []
+
+    def refine_to(self, integral_err: float) -> None:
+        """Refine the nodes to this error from now on."""
+        self.integral_err = integral_err
 
     def of(self, bsdf: mi.BSDF) -> Floats:
         """Values of all places and channels, shape (n * channels,).
@@ -138,7 +150,7 @@ class PatchPredictions(Predictions):
                 bsdf,
                 *self.incident,
                 self.subdivision,
-                integral_err=INTEGRAL_ERR,
+                integral_err=self.integral_err,
                 side=self.side,
                 interaction=self._interaction(nm),
             )
@@ -226,6 +238,10 @@ class ConePredictions(Predictions):
     half_angle: float
     means: bool
 
+    def refine_to(self, integral_err: float) -> None:
+        """Refine the nodes to this error from now on, if there are integrals."""
+        super().refine_to(integral_err if self.half_angle else 0.0)
+
     def begin(self) -> None:
         """Take a few nodes in each cone."""
         self._take(MIN_NODES)
@@ -240,7 +256,8 @@ class ConePredictions(Predictions):
             self._take(n)
             before, found = found, self.of(bsdf)
             change, size = np.abs(found - before), np.abs(found)
-            settled = bool(np.all(change <= INTEGRAL_ERR * (size + size.mean())))
+            allowed = self.integral_err * (size + size.mean())
+            settled = bool(np.all(change <= allowed))
         return found
 
     def _take(self, n: int) -> None:

@@ -149,6 +149,64 @@ def test_a_table_is_fitted_in_its_directions():
     assert gonio.fit(wide, "roughconductor:distribution=ggx").values[0] < 0.297
 
 
+# A narrow lobe over a diffuse base: a table in and beside the lobe, with 0.5 % noise.
+GLOSSY = {"type": "roughplastic", "distribution": "ggx", "alpha": 0.005}
+GLOSSY |= {"int_ior": 1.49, "diffuse_reflectance": 0.3}
+
+
+def glossy_table(seed):
+    angles = np.r_[np.arange(0, 80, 10), 19, 19.5, 20.5, 21]
+    wo = direction(np.radians(angles), np.pi)
+    frame = mi.SurfaceInteraction3f()
+    frame.wi = mi.Vector3f(direction(np.radians(20), 0.0).tolist())
+    value = mi.load_dict(GLOSSY).eval(mi.BSDFContext(), frame, mi.Vector3f(wo.T))
+    exact = np.array(value[0]) / wo[:, 2]
+    noise = np.random.default_rng(seed).standard_normal(exact.size)
+    own, column = exact * (1 + 0.005 * noise), np.full(exact.size, 20.0)
+    return MeasuredTable(
+        column,
+        0 * column,
+        angles,
+        column * 9,
+        own,
+        quantity="brdf",
+        sigma=0.005 * exact,
+    )
+
+
+def test_a_peak_far_above_the_rest_is_found_with_honest_errors():
+    """Scores of both parameters; twins: errors ten times narrower, and a bad start.
+
+    A part of 1e-4 of the mean value would be 3 times what the base is known to.
+    """
+    known = {k: GLOSSY[k] for k in ("type", "distribution", "int_ior")}
+    scores = []
+    for seed in range(N_FITS):
+        table = glossy_table(seed)
+        found = gonio.fit(table, known, ["alpha", "diffuse_reflectance"])
+        off = found.values - [GLOSSY[name] for name in found.names]
+        scores.append(off / found.std_errs)
+    agree(verdict(scores))
+    disagree(verdict(10 * np.array(scores)))
+    assert 3 * found.std_errs[1] < 1e-4 * np.abs(table.value).mean()
+    lost = gonio.fit(
+        table, known, ["alpha", "diffuse_reflectance"], start={"alpha": 0.4}
+    )
+    assert lost.reduced_chi2 > 100 * found.reduced_chi2
+
+
+@pytest.mark.parametrize(
+    ("start", "message"),
+    [
+        ({"x": 0.1}, "start must be one of alpha, specular_reflectance, got 'x'"),
+        ({"alpha": 2}, "start of alpha must be from 0.001 to 1, got 2"),
+    ],
+)
+def test_a_start_that_is_none_is_one_sentence(start, message):
+    with pytest.raises(SettingError, match=message):
+        gonio.fit(table_of(METAL), MODEL, start=start)
+
+
 @pytest.mark.parametrize("quantity", ["brdf", "btdf"])
 def test_a_table_of_patch_means_is_fitted_as_such(quantity, tmp_path):
     """Convergence: as the integrals it holds; twin: as points it is another alpha."""
@@ -676,6 +734,7 @@ def test_command_on_a_specimen(capfd):
         ("diffuse conductor", "free must name the parameters of conductor to fit"),
         ("diffuse diffuse:reflectance=0.5", "has a given value, got nothing"),
         ("diffuse diffuse --uncertainty 0.1", "--uncertainty applies to tables only"),
+        ("diffuse diffuse --start reflectance", "--start must be NAME=VALUE such as"),
         ("diffuse diffuse -D a=1", "-D applies to scene files only"),
         ("a.npz diffuse --rays 1e4", "--rays applies to a specimen that is to be"),
         ("a.npz diffuse -D a=1", "-D applies to a specimen that is to be measured"),
