@@ -1,7 +1,7 @@
-"""A collector of circular apertures: detectors that stand in measured directions."""
+"""A collector of circular apertures: receptors of one width that do not overlap."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -10,14 +10,15 @@ import numpy as np
 from ..array_types import Flags, Floats, Integers, Singles
 from ..errors import SettingError, checked_number
 from .directions import direction
-from .hemisphere import EDGE, Subdivision
+from .hemisphere import EDGE
+from .receptors import Receptors, Window
 
 # The search grid has at most this many cells per side.
 MAX_CELLS = 1024
 
 
 @dataclass(frozen=True)
-class Apertures(Subdivision):
+class Apertures(Receptors):
     r"""Cones of one half-angle around given directions, and all that is between them.
 
     Patch ``i`` is the cone around direction ``i``; the last patch is what no cone
@@ -40,6 +41,7 @@ class Apertures(Subdivision):
 
     half_angle: float
     directions: tuple[tuple[float, float], ...]
+    windows: tuple[Window, ...] = field(init=False, repr=False, compare=False)
 
     name: ClassVar[str] = "apertures"
 
@@ -51,6 +53,8 @@ class Apertures(Subdivision):
         object.__setattr__(self, "half_angle", half_angle)
         cones = tuple((float(theta), float(phi)) for theta, phi in self.directions)
         object.__setattr__(self, "directions", cones)
+        windows = tuple((*cone, 2 * half_angle) for cone in cones)
+        object.__setattr__(self, "windows", windows)
         if not cones:
             raise SettingError("directions must hold at least one direction, got none")
         for theta, phi in cones:
@@ -81,94 +85,9 @@ class Apertures(Subdivision):
         )
 
     @property
-    def shape(self) -> tuple[int, int]:
-        """The cones and the gap between them, in one column."""
-        return self.n_detectors + 1, 1
-
-    @property
-    def n_detectors(self) -> int:
-        """Number of cones."""
-        return len(self.directions)
-
-    @property
     def aperture_half_angle(self) -> float:
         """In degrees."""
         return self.half_angle
-
-    @property
-    def middles(self) -> tuple[Floats, Floats]:
-        """Polar angles and azimuths of the cones' axes in radians.
-
-        Two arrays of the shape `shape`; NaN for what is between the cones.
-        """
-        axes = np.radians([*self.directions, (np.nan, np.nan)])
-        return axes[:, :1], axes[:, 1:]
-
-    @property
-    def axes(self) -> Floats:
-        """Axes of the cones as unit vectors, shape ``(n_patches, 3)``; last +z."""
-        return np.vstack([_axes(self.directions), [0, 0, 1]])
-
-    @property
-    def cells(self) -> Floats:
-        """Each cone about its own axis; for the rest the hemisphere, which holds it.
-
-        Shape ``(n_patches, 4)``, in radians.
-        """
-        half = np.radians(self.half_angle)
-        cones = [(0, half, 0, 2 * np.pi)] * self.n_detectors
-        return np.array([*cones, (0, np.pi / 2, 0, 2 * np.pi)])
-
-    @property
-    def solid_angles(self) -> Floats:
-        """Exact solid angle of each cone and of the rest in sr, sum 2 pi.
-
-        ``4 pi sin^2(a / 2)`` for a half-angle ``a``; of the shape `shape`.
-        """
-        cone = 4 * np.pi * np.sin(np.radians(self.half_angle) / 2) ** 2
-        cones = np.full(self.n_detectors, cone)
-        return np.append(cones, 2 * np.pi - cones.sum())[:, None]
-
-    @property
-    def projected_solid_angles(self) -> Floats:
-        """Exact integral of cos(theta) over each cone and the rest in sr, sum pi.
-
-        ``pi sin^2(a) cos(theta)`` for a half-angle ``a`` around ``theta``; of the
-        shape `shape`.
-        """
-        sin2 = np.sin(np.radians(self.half_angle)) ** 2
-        cones = np.pi * sin2 * np.cos(self.middles[0][:-1, 0])
-        return np.append(cones, np.pi - cones.sum())[:, None]
-
-    def patch_index(self, xp: Any, x: Any, y: Any, z: Any) -> Any:
-        """Index of the cone that holds each direction, or the number of cones.
-
-        A cell of a square grid, on the disk onto which Lambert's map takes the
-        hemisphere, lists the few cones that reach into it.
-
-        Parameters
-        ----------
-        xp : namespace
-            Has ``sqrt``, ``floor``, ``minimum``, ``where`` and ``take(table, index)``,
-            the entries of a float table at whole floating-point numbers.
-        x, y, z : array
-            Components of unit vectors, z > 0.
-        """
-        n_cells, lists, axes = self._search
-        to_disk = 1 / xp.sqrt(1 + z)
-        half = n_cells / 2
-        column = xp.floor(xp.minimum((x * to_disk + 1) * half, n_cells - 1.0))
-        row = xp.floor(xp.minimum((y * to_disk + 1) * half, n_cells - 1.0))
-        cell = row * n_cells + column
-        # chords keep their precision for narrow cones, where cosines would not
-        limit = 4 * np.sin(np.radians(self.half_angle) / 2) ** 2
-        index = x * 0 + float(self.n_detectors)
-        for candidates in lists:
-            cone = xp.take(candidates, cell)
-            chord = (x - xp.take(axes[0], cone), y - xp.take(axes[1], cone))
-            chord2 = chord[0] ** 2 + chord[1] ** 2 + (z - xp.take(axes[2], cone)) ** 2
-            index = xp.where(chord2 < limit, cone, index)
-        return index
 
     def detectors(self, v: Floats) -> tuple[Integers, Flags]:
         """Nearest cone to each direction, and whether the direction is its axis."""
@@ -177,11 +96,29 @@ class Apertures(Subdivision):
         distance, nearest = cKDTree(_axes(self.directions)).query(v)
         return nearest, distance <= EDGE
 
-    @cached_property
-    def _search(self) -> tuple[int, Singles, Singles]:
-        """Cells per side; the k-th cone of each cell, for each k; the cones' axes.
+    def _candidates(self, xp: Any, x: Any, y: Any, z: Any) -> list[tuple[Any, bool]]:
+        """Numbers of the few cones that reach into the cell of each direction.
 
-        An empty place in a list names a cone below the horizon, which holds nothing.
+        Cells are those of a square grid on the disk onto which Lambert's map takes the
+        hemisphere: scans have thousands of cones.
+        """
+        n_cells, lists = self._search
+        to_disk = 1 / xp.sqrt(1 + z)
+        half = n_cells / 2
+        column = xp.floor(xp.minimum((x * to_disk + 1) * half, n_cells - 1.0))
+        row = xp.floor(xp.minimum((y * to_disk + 1) * half, n_cells - 1.0))
+        cell = row * n_cells + column
+        return [(xp.take(cones, cell), True) for cones in lists]
+
+    def _of_patches(self, whole: Floats, hemisphere: float) -> Floats:
+        """Integrals over patches: none lies in another, so that scans take no pairs."""
+        return np.append(whole, hemisphere - whole.sum())
+
+    @cached_property
+    def _search(self) -> tuple[int, Singles]:
+        """Cells per side; the last but k cone of each cell, for each k.
+
+        Cone 0 fills up the lists, before the cones that reach into the cell.
         """
         axes = _axes(self.directions)
         reach = np.radians(self.half_angle)
@@ -200,10 +137,10 @@ class Apertures(Subdivision):
         cone = np.repeat([cone for _, cone in cells], [len(c) for c, _ in cells])
         order = np.argsort(cell, kind="stable")
         cell, cone = cell[order], cone[order]
-        place = np.arange(len(cell)) - np.searchsorted(cell, cell)
-        lists = np.full((place.max() + 1, n_cells**2), len(axes), np.float32)
-        lists[place, cell] = cone
-        return n_cells, lists, np.vstack([axes, [0, 0, -3]]).astype(np.float32).T.copy()
+        later = np.searchsorted(cell, cell, side="right") - 1 - np.arange(len(cell))
+        lists = np.zeros((later.max() + 1, n_cells**2), np.float32)
+        lists[-1 - later, cell] = cone
+        return n_cells, lists
 
 
 def is_above(theta: Any, half_angle: float) -> Any:

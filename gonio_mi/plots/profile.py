@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..array_types import Flags, Floats
-from ..collector import Apertures, Borders, RingsAndSectors, Subdivision
+from ..collector import Borders, RingsAndSectors, Subdivision
 from ..collector.directions import direction
 from ..collector.shirley_chiu import ShirleyChiu
 from ..results.record import Record
@@ -99,7 +99,7 @@ def cut_profile(
         dark = np.all(dark, axis=-1, keepdims=True)
     arrays = value, low, high, dark
     phi_i = float(np.radians(np.nan_to_num(single.phi_i[0])))
-    if isinstance(single.subdivision, Apertures):
+    if single.subdivision.aperture_half_angle is not None:
         return _cones_in_plane(single.subdivision, phi_i, arrays)
     if isinstance(single.subdivision, ShirleyChiu):
         return _runs_in_plane(single.subdivision, phi_i, arrays)
@@ -122,17 +122,17 @@ def cut_profile(
 
 
 def _cones_in_plane(
-    patches: Apertures, phi_i: float, arrays: Iterable[NDArray[Any]]
+    patches: Subdivision, phi_i: float, arrays: Iterable[NDArray[Any]]
 ) -> Profile:
     """Profile of the cones that the plane of incidence cuts, each one cell.
 
     What lies between them is dark and has no upper limit.
     """
-    axes = patches.axes[:-1]
+    axes = direction(*patches.middles)[:-1, 0]
     beyond = -axes[:, 0] * math.cos(phi_i) - axes[:, 1] * math.sin(phi_i)
     # cosine of the angle between an axis and its projection on the plane
     cosine = np.hypot(beyond, axes[:, 2])
-    cos_half = math.cos(math.radians(patches.half_angle))
+    cos_half = math.cos(patches.cells[0, 1])
     (met,) = np.nonzero(cosine > cos_half)
     theta = np.degrees(np.arctan2(beyond, axes[:, 2]))[met]
     met, theta = met[np.argsort(theta)], np.sort(theta)
