@@ -19,17 +19,17 @@ MAX_CELLS = 1024
 
 @dataclass(frozen=True)
 class Apertures(Receptors):
-    r"""Cones of one half-angle around given directions, and all that is between them.
+    r"""Cones of one half-angle around given directions, and the gap between them.
 
-    Patch ``i`` is the cone around direction ``i``; the last patch is what no cone
-    holds, so that rays are never lost from the ledger. As a map it has as many rows as
-    patches and one column. The rim of a cone belongs to what is between the cones. Two
-    cones may touch: what rounding lets overlap belongs to the later one.
+    Patch ``i`` is the cone around direction ``i``; the last patch is the rest of the
+    hemisphere, so that the ledger loses no rays. A map has one row per patch and one
+    column. The rim of a cone belongs to the gap. Cones may touch; where rounding makes
+    them overlap, the direction belongs to the later cone.
 
     Parameters
     ----------
     half_angle : float
-        In degrees, in [0.01, 90]: below that, single precision would show.
+        In degrees, in [0.01, 90]; single precision does not resolve narrower cones.
     directions : sequence of (float, float)
         Polar angle from the pole of the hemisphere and azimuth in degrees.
 
@@ -77,7 +77,7 @@ class Apertures(Receptors):
 
     @classmethod
     def parse(cls, size: str) -> "Apertures":
-        """Build from what follows the colon of a name, ``0.5@45.0/180.0,30.0/0.0``."""
+        """Build from the text after the colon, such as ``0.5@45.0/180.0,30.0/0.0``."""
         half_angle, _, cones = size.partition("@")
         pairs = [cone.split("/") for cone in cones.split(",")]
         return cls(
@@ -97,10 +97,10 @@ class Apertures(Receptors):
         return nearest, distance <= EDGE
 
     def _candidates(self, xp: Any, x: Any, y: Any, z: Any) -> list[tuple[Any, bool]]:
-        """Numbers of the few cones that reach into the cell of each direction.
+        """Numbers of the few cones that overlap the grid cell of each direction.
 
-        Cells are those of a square grid on the disk onto which Lambert's map takes the
-        hemisphere: scans have thousands of cones.
+        Scans have thousands of cones. The square grid covers the disk onto which
+        Lambert's equal-area map projects the hemisphere.
         """
         n_cells, lists = self._search
         to_disk = 1 / xp.sqrt(1 + z)
@@ -111,19 +111,19 @@ class Apertures(Receptors):
         return [(xp.take(cones, cell), True) for cones in lists]
 
     def _of_patches(self, whole: Floats, hemisphere: float) -> Floats:
-        """Integrals over patches: none lies in another, so that scans take no pairs."""
+        """Integrals over patches; cones do not overlap, so no pairs are compared."""
         return np.append(whole, hemisphere - whole.sum())
 
     @cached_property
     def _search(self) -> tuple[int, Singles]:
-        """Cells per side; the last but k cone of each cell, for each k.
+        """Grid cells per side, and lists of the cones that overlap each cell.
 
-        Cone 0 fills up the lists, before the cones that reach into the cell.
+        Shape of the lists: ``(longest, n_cells ** 2)``. Short lists begin with cone 0.
         """
         axes = _axes(self.directions)
         reach = np.radians(self.half_angle)
         n_cells = int(np.clip(np.ceil(4 / reach), 8, MAX_CELLS))
-        # the map of the hemisphere onto the unit disk lengthens nothing
+        # the projection onto the unit disk lengthens no distance
         middle = axes[:, :2] / np.sqrt(1 + axes[:, 2:])
         margin = reach + 4 / n_cells * 1e-3
         first = np.floor((middle - margin + 1) * n_cells / 2).astype(int)
@@ -163,7 +163,8 @@ def disjoint_groups(
     Returns
     -------
     list of list of (float, float)
-        Few, but not the fewest; a direction goes to the first group with room for it.
+        Each direction joins the first group with room for it: a greedy choice, not
+        always the smallest number of groups.
     """
     from scipy.spatial import cKDTree  # slow to import
 
@@ -186,7 +187,7 @@ def disjoint_groups(
 def _nearest(
     directions: Sequence[tuple[float, float]], half_angle: float
 ) -> tuple[int, int] | None:
-    """One pair of indices whose cones overlap, or None; in little memory."""
+    """Indices of one pair of overlapping cones, or None; never lists all pairs."""
     from scipy.spatial import cKDTree  # slow to import
 
     axes = _axes(directions)

@@ -1,4 +1,4 @@
-"""A collector of receptor windows, each of its own size: field stops of instruments."""
+"""A collector of receptor windows of various sizes, such as field stops."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from ..errors import SettingError, shown
 from .directions import direction
 from .hemisphere import EDGE, Subdivision
 
-# Full angles of windows, in degrees: below the first, single precision would show.
+# Full angles of windows, in degrees; single precision resolves none below the first.
 MIN_WIDTH, MAX_WIDTH = 0.02, 179.99
 
 Window = tuple[float, ...]
@@ -20,12 +20,13 @@ Window = tuple[float, ...]
 
 @dataclass(frozen=True)
 class Receptors(Subdivision):
-    r"""Round and rectangular windows about given axes, and all that is between them.
+    r"""Round and rectangular windows about given axes, and the gap between them.
 
-    Windows may lie in each other, as a gloss meter's field stop lies in a cone about
-    the mirror direction, but not overlap otherwise; patch ``i`` is window ``i`` without
-    those before it, and the last patch is what no window holds. As a map it has as many
-    rows as patches and one column. A rim belongs to what is outside.
+    A window may contain smaller ones, as a cone about the mirror direction contains the
+    field stop of a gloss meter; windows must not overlap otherwise. Patch ``i`` is
+    window ``i`` without the windows before it; the last patch is the rest of the
+    hemisphere. A map has one row per patch and one column. A rim belongs to the
+    outside.
 
     Parameters
     ----------
@@ -73,7 +74,7 @@ class Receptors(Subdivision):
 
     @classmethod
     def parse(cls, size: str) -> "Receptors":
-        """Build from what follows the colon of a name, ``60.0/180.0/4.4/11.7``."""
+        """Build from the text after the colon, such as ``60.0/180.0/4.4/11.7``."""
         words = [window.split("/") for window in size.split(",")]
         return cls(tuple(tuple(map(float, one)) for one in words))
 
@@ -91,8 +92,8 @@ class Receptors(Subdivision):
     def middles(self) -> tuple[Floats, Floats]:
         """Polar angles and azimuths of the windows' axes in radians.
 
-        Two arrays of the shape `shape`; NaN for what is between the windows, and of a
-        window about whose axis there is a smaller one.
+        Two arrays of the shape `shape`; NaN for the gap, and for a window whose axis
+        lies in a smaller one.
         """
         middles = np.radians([window[:2] for window in self.windows])
         outside = self.patch(self.axes[:-1]) != np.arange(self.n_detectors)
@@ -106,7 +107,7 @@ class Receptors(Subdivision):
 
     @property
     def cells(self) -> Floats:
-        """Cone that holds each window, about its axis; the hemisphere for the rest.
+        """Bounding cone of each window about its axis; the hemisphere for the gap.
 
         Shape ``(n_patches, 4)``, in radians.
         """
@@ -161,7 +162,7 @@ class Receptors(Subdivision):
         return index
 
     def within(self, windows: Sequence[Window]) -> Flags | None:
-        """Patches that lie within some of its windows; None for windows it lacks."""
+        """Patches within the given windows; None if the collector lacks one of them."""
         if not {*windows} <= {*self.windows}:
             return None
         inside = [
@@ -171,10 +172,10 @@ class Receptors(Subdivision):
         return np.array([*inside, False])
 
     def filled(self, n: int) -> tuple[Floats, Floats]:
-        """Directions of ``n x n`` points in the last window, and what each stands for.
+        """Directions of ``n x n`` points in the last window, and their weights.
 
-        Shapes ``(n * n, 3)`` and ``(n * n,)``: projected solid angles in sr, which are
-        0 below the horizon.
+        Shapes ``(n * n, 3)`` and ``(n * n,)``. The weights are projected solid angles
+        in sr, 0 below the horizon.
         """
         window = self.windows[-1]
         step = (np.arange(n) + 0.5) / n
@@ -195,9 +196,9 @@ class Receptors(Subdivision):
         return wo, weight * np.maximum(wo[:, 2], 0)
 
     def _candidates(self, xp: Any, x: Any, y: Any, z: Any) -> list[tuple[Any, bool]]:  # noqa: ARG002
-        """Numbers of the windows to try, and whether they are round.
+        """Numbers of the windows to test, and whether they are round.
 
-        The last one that holds a direction has it: the first of all windows.
+        The last match counts, so that the first of nested windows comes last.
         """
         numbers = reversed(range(self.n_detectors))
         return [(x * 0 + float(i), len(self.windows[i]) == 3) for i in numbers]
@@ -205,17 +206,17 @@ class Receptors(Subdivision):
     def _of_windows(
         self, cones: Floats, rectangle: Callable[[Window], float]
     ) -> Floats:
-        """Values of round windows, and of a function of the rectangular ones."""
+        """Values of all windows, with those of rectangles from a function."""
         for i, window in enumerate(self.windows):
             if len(window) == 4:
                 cones[i] = rectangle(window)
         return cones
 
     def _of_patches(self, whole: Floats, hemisphere: float) -> Floats:
-        """Integrals over patches, of those over windows and over the hemisphere."""
+        """Integrals over patches, from integrals over windows and the hemisphere."""
         patches = np.append(whole, hemisphere)
         for i, window in enumerate(self.windows):
-            # the smallest of those that hold it, or the hemisphere
+            # the smallest window around it, or the hemisphere
             later = range(i + 1, self.n_detectors)
             outer = next((j for j in later if holds(self.windows[j], window)), -1)
             patches[outer] -= whole[i]
@@ -223,33 +224,33 @@ class Receptors(Subdivision):
 
     @property
     def _half_widths(self) -> Floats:
-        """Half of the first width of each window in radians."""
+        """Half of the first angular width of each window in radians."""
         return np.radians([window[2] for window in self.windows]) / 2
 
     @cached_property
     def _table(self) -> Singles:
-        """Columns of `_rows`."""
+        """Columns of `_rows` in single precision."""
         return _rows(self.windows).astype(np.float32).T.copy()
 
 
 def holds(outer: Window, inner: Window) -> bool:
-    """Whether a window lies within another one, and is not all of it."""
+    """Whether the outer window contains a smaller one."""
     return outer != inner and bool(_within(outer, _rim(inner), 1 + EDGE).all())
 
 
 def _touch(a: Window, b: Window) -> bool:
-    """Whether part of the rim of one of two windows lies within the other."""
+    """Whether the rim of either window enters the other."""
     return bool(np.any(_within(a, _rim(b))) or np.any(_within(b, _rim(a))))
 
 
 def _within(window: Window, v: Floats, stretch: float = 1 - EDGE) -> Flags:
-    """Whether a window, made wider or narrower by a factor, holds directions."""
+    """Whether directions lie in a window whose widths are scaled by a factor."""
     (row,) = _rows([(*window[:2], *(stretch * size for size in window[2:]))])
     return np.asarray(_inside(len(window) == 3, row, *v.T))
 
 
 def _inside(is_round: bool, row: Sequence[Any], x: Any, y: Any, z: Any) -> Any:
-    """Whether the window of a row of the table holds directions."""
+    """Whether directions lie in the window of a row of the table."""
     if is_round:  # chords keep their precision for narrow cones
         u, v, w = x - row[0], y - row[1], z - row[2]
         return u * u + v * v + w * w < row[3]
@@ -258,7 +259,7 @@ def _inside(is_round: bool, row: Sequence[Any], x: Any, y: Any, z: Any) -> Any:
 
 
 def _is_window(window: Window) -> bool:
-    """Whether numbers are those of a window above the horizon."""
+    """Whether the numbers describe a window above the horizon."""
     if len(window) not in (3, 4) or not np.isfinite(window).all():
         return False
     fits = min(window[2:]) >= MIN_WIDTH and max(window[2:]) <= MAX_WIDTH
@@ -266,9 +267,10 @@ def _is_window(window: Window) -> bool:
 
 
 def _rows(windows: Sequence[Window]) -> Floats:
-    """Axis and limit of each window, the axes along and across, and the limit across.
+    """Table of the windows, shape ``(n, 11)``.
 
-    Shape ``(n, 11)``; of a round window only the first four numbers count.
+    Columns: axis, limit (of the squared chord, or of the squared tangent along), axes
+    along and across, limit across. A round window needs the first four only.
     """
     theta, phi = np.radians([window[:2] for window in windows]).T
     half = np.radians([(window[2], window[-1]) for window in windows]) / 2
@@ -280,7 +282,7 @@ def _rows(windows: Sequence[Window]) -> Floats:
 
 
 def _frame(window: Window) -> Floats:
-    """Axes of a window along, across and towards its middle, row by row."""
+    """Local frame of a window: axes along and across, and its own axis, as rows."""
     (row,) = _rows([window])
     return np.array([row[4:7], row[7:10], row[:3]])
 
@@ -301,7 +303,7 @@ def _projected_solid_angle(rectangle: Window) -> float:
 
 
 def _rim(window: Window, n: int = 64) -> Floats:
-    """`n` points of the rim, a rectangle's corners among them; unit vectors."""
+    """`n` points of the rim as unit vectors, including the corners of a rectangle."""
     turn = (np.arange(n) + n / 8) * (2 * np.pi / n)
     x, y = np.cos(turn), np.sin(turn)
     if len(window) == 4:

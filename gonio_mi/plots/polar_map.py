@@ -16,15 +16,15 @@ from ..collector import RingsAndSectors, Subdivision
 from ..results.record import Record
 from .profile import BORDER_TOLERANCE, drawn_in_rings, sectors_beside
 
-# More than this between largest and smallest value, or the first between largest and
-# median, and the scale is logarithmic.
+# Ratios of the largest value to the smallest, and to the median, above which the scale
+# is logarithmic.
 MIN_LOG_RANGE, MIN_LOG_PEAK = 100, 20
-# What is this much darker than the brightest patch has the darkest colour.
+# Values below this fraction of the largest one have the darkest colour.
 MIN_RELATIVE_VALUE = 1e-6
 # Degrees of azimuth in which the edge of a patch is drawn as a straight line.
 MAX_CHORD_DEG = 1
 NO_HIT = "0.8"
-# Half the width of a map, in that of its circle: marks at the horizon are not cut.
+# Half the width of a map in radii of its circle; marks at the horizon are not cut.
 HALF_WIDTH = 1.08
 # Polar angles in degrees that are drawn as circles.
 CIRCLES = (30, 60, 90)
@@ -66,8 +66,8 @@ def shown_values(
 ) -> tuple[RingsAndSectors | None, np.ma.MaskedArray[Any, Any]]:
     """Rings and sectors, and the mean over channels in them, masked without a hit.
 
-    Or other `values` of the patches, shape ``(n_theta, n_phi)``, masked where NaN. Of
-    apertures no rings, and the values of the apertures in one column.
+    `values` of the patches, shape ``(n_theta, n_phi)``, replace the quantity; they are
+    masked where NaN. Apertures have no rings; their values are in one column.
     """
     shown = getattr(single, of) if values is None else values[..., None]
     empty = single.without_hit[int(of == "btdf"), ..., None]
@@ -144,7 +144,7 @@ def draw_patches(
 
 
 def _rims(patches: Subdivision) -> Floats:
-    """Rims of apertures as they are seen along -z, shape ``(n, points, 2)``."""
+    """Rims of apertures seen along -z, shape ``(n, points, 2)``."""
     theta, phi = (angle[:-1] for angle in patches.middles)
     half, turn = float(patches.cells[0, 1]), np.radians(np.arange(360))
     across = math.sin(half) * np.cos(turn) * np.cos(theta)
@@ -158,7 +158,7 @@ def _rims(patches: Subdivision) -> Floats:
 def add_bar(
     figure: Any, mesh: Collection, place: Axes, single: Record, of: str
 ) -> None:
-    """Draw the colour bar of a map into axes of its own."""
+    """Draw the colour bar of a map into the axes `place`."""
     colour_bar(figure, mesh, None, bar_label(single, of), cax=place)
 
 
@@ -173,7 +173,7 @@ def bar_label(single: Record, of: str) -> str:
 def colour_bar(
     figure: Any, mesh: Collection, beside: Any, label: str, **place: Any
 ) -> None:
-    """Draw a colour bar `beside` axes, or where matplotlib's keywords put it."""
+    """Draw a colour bar `beside` axes, or at the place of matplotlib's keywords."""
     bar = figure.colorbar(mesh, ax=beside, **place)
     bar.set_label(label)
     bar.outline.set_linewidth(0.5)
@@ -209,7 +209,7 @@ def border_note(single: Record) -> str:
 
 
 def _mark_directions(axes: Axes, single: Record, of: str, note: str) -> None:
-    """Mark where the light comes from, and where a smooth specimen would send it."""
+    """Mark the incident direction, and the mirror or straight-through direction."""
     theta, phi = np.radians([single.theta_i[0], single.phi_i[0]])
     if np.isnan(theta) or np.isnan(phi):
         return
