@@ -1,7 +1,7 @@
-"""A collector of circular apertures: detectors that stand in measured directions."""
+"""A collector of circular apertures: receptors of one width that do not overlap."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -10,25 +10,26 @@ import numpy as np
 from ..array_types import Flags, Floats, Integers, Singles
 from ..errors import SettingError, checked_number
 from .directions import direction
-from .hemisphere import EDGE, Subdivision
+from .hemisphere import EDGE
+from .receptors import Receptors, Window
 
 # The search grid has at most this many cells per side.
 MAX_CELLS = 1024
 
 
 @dataclass(frozen=True)
-class Apertures(Subdivision):
-    r"""Cones of one half-angle around given directions, and all that is between them.
+class Apertures(Receptors):
+    r"""Cones of one half-angle around given directions, and the gap between them.
 
-    Patch ``i`` is the cone around direction ``i``; the last patch is what no cone
-    holds, so that rays are never lost from the ledger. As a map it has as many rows as
-    patches and one column. The rim of a cone belongs to what is between the cones. Two
-    cones may touch: what rounding lets overlap belongs to the later one.
+    Patch ``i`` is the cone around direction ``i``; the last patch is the rest of the
+    hemisphere, so that the ledger loses no rays. A map has one row per patch and one
+    column. The rim of a cone belongs to the gap. Cones may touch; where rounding makes
+    them overlap, the direction belongs to the later cone.
 
     Parameters
     ----------
     half_angle : float
-        In degrees, in [0.01, 90]: below that, single precision would show.
+        In degrees, in [0.01, 90]; single precision does not resolve narrower cones.
     directions : sequence of (float, float)
         Polar angle from the pole of the hemisphere and azimuth in degrees.
 
@@ -40,6 +41,7 @@ class Apertures(Subdivision):
 
     half_angle: float
     directions: tuple[tuple[float, float], ...]
+    windows: tuple[Window, ...] = field(init=False, repr=False, compare=False)
 
     name: ClassVar[str] = "apertures"
 
@@ -51,6 +53,8 @@ class Apertures(Subdivision):
         object.__setattr__(self, "half_angle", half_angle)
         cones = tuple((float(theta), float(phi)) for theta, phi in self.directions)
         object.__setattr__(self, "directions", cones)
+        windows = tuple((*cone, 2 * half_angle) for cone in cones)
+        object.__setattr__(self, "windows", windows)
         if not cones:
             raise SettingError("directions must hold at least one direction, got none")
         for theta, phi in cones:
@@ -73,7 +77,7 @@ class Apertures(Subdivision):
 
     @classmethod
     def parse(cls, size: str) -> "Apertures":
-        """Build from what follows the colon of a name, ``0.5@45.0/180.0,30.0/0.0``."""
+        """Build from the text after the colon, such as ``0.5@45.0/180.0,30.0/0.0``."""
         half_angle, _, cones = size.partition("@")
         pairs = [cone.split("/") for cone in cones.split(",")]
         return cls(
@@ -81,94 +85,9 @@ class Apertures(Subdivision):
         )
 
     @property
-    def shape(self) -> tuple[int, int]:
-        """The cones and the gap between them, in one column."""
-        return self.n_detectors + 1, 1
-
-    @property
-    def n_detectors(self) -> int:
-        """Number of cones."""
-        return len(self.directions)
-
-    @property
     def aperture_half_angle(self) -> float:
         """In degrees."""
         return self.half_angle
-
-    @property
-    def middles(self) -> tuple[Floats, Floats]:
-        """Polar angles and azimuths of the cones' axes in radians.
-
-        Two arrays of the shape `shape`; NaN for what is between the cones.
-        """
-        axes = np.radians([*self.directions, (np.nan, np.nan)])
-        return axes[:, :1], axes[:, 1:]
-
-    @property
-    def axes(self) -> Floats:
-        """Axes of the cones as unit vectors, shape ``(n_patches, 3)``; last +z."""
-        return np.vstack([_axes(self.directions), [0, 0, 1]])
-
-    @property
-    def cells(self) -> Floats:
-        """Each cone about its own axis; for the rest the hemisphere, which holds it.
-
-        Shape ``(n_patches, 4)``, in radians.
-        """
-        half = np.radians(self.half_angle)
-        cones = [(0, half, 0, 2 * np.pi)] * self.n_detectors
-        return np.array([*cones, (0, np.pi / 2, 0, 2 * np.pi)])
-
-    @property
-    def solid_angles(self) -> Floats:
-        """Exact solid angle of each cone and of the rest in sr, sum 2 pi.
-
-        ``4 pi sin^2(a / 2)`` for a half-angle ``a``; of the shape `shape`.
-        """
-        cone = 4 * np.pi * np.sin(np.radians(self.half_angle) / 2) ** 2
-        cones = np.full(self.n_detectors, cone)
-        return np.append(cones, 2 * np.pi - cones.sum())[:, None]
-
-    @property
-    def projected_solid_angles(self) -> Floats:
-        """Exact integral of cos(theta) over each cone and the rest in sr, sum pi.
-
-        ``pi sin^2(a) cos(theta)`` for a half-angle ``a`` around ``theta``; of the
-        shape `shape`.
-        """
-        sin2 = np.sin(np.radians(self.half_angle)) ** 2
-        cones = np.pi * sin2 * np.cos(self.middles[0][:-1, 0])
-        return np.append(cones, np.pi - cones.sum())[:, None]
-
-    def patch_index(self, xp: Any, x: Any, y: Any, z: Any) -> Any:
-        """Index of the cone that holds each direction, or the number of cones.
-
-        A cell of a square grid, on the disk onto which Lambert's map takes the
-        hemisphere, lists the few cones that reach into it.
-
-        Parameters
-        ----------
-        xp : namespace
-            Has ``sqrt``, ``floor``, ``minimum``, ``where`` and ``take(table, index)``,
-            the entries of a float table at whole floating-point numbers.
-        x, y, z : array
-            Components of unit vectors, z > 0.
-        """
-        n_cells, lists, axes = self._search
-        to_disk = 1 / xp.sqrt(1 + z)
-        half = n_cells / 2
-        column = xp.floor(xp.minimum((x * to_disk + 1) * half, n_cells - 1.0))
-        row = xp.floor(xp.minimum((y * to_disk + 1) * half, n_cells - 1.0))
-        cell = row * n_cells + column
-        # chords keep their precision for narrow cones, where cosines would not
-        limit = 4 * np.sin(np.radians(self.half_angle) / 2) ** 2
-        index = x * 0 + float(self.n_detectors)
-        for candidates in lists:
-            cone = xp.take(candidates, cell)
-            chord = (x - xp.take(axes[0], cone), y - xp.take(axes[1], cone))
-            chord2 = chord[0] ** 2 + chord[1] ** 2 + (z - xp.take(axes[2], cone)) ** 2
-            index = xp.where(chord2 < limit, cone, index)
-        return index
 
     def detectors(self, v: Floats) -> tuple[Integers, Flags]:
         """Nearest cone to each direction, and whether the direction is its axis."""
@@ -177,16 +96,34 @@ class Apertures(Subdivision):
         distance, nearest = cKDTree(_axes(self.directions)).query(v)
         return nearest, distance <= EDGE
 
-    @cached_property
-    def _search(self) -> tuple[int, Singles, Singles]:
-        """Cells per side; the k-th cone of each cell, for each k; the cones' axes.
+    def _candidates(self, xp: Any, x: Any, y: Any, z: Any) -> list[tuple[Any, bool]]:
+        """Numbers of the few cones that overlap the grid cell of each direction.
 
-        An empty place in a list names a cone below the horizon, which holds nothing.
+        Scans have thousands of cones. The square grid covers the disk onto which
+        Lambert's equal-area map projects the hemisphere.
+        """
+        n_cells, lists = self._search
+        to_disk = 1 / xp.sqrt(1 + z)
+        half = n_cells / 2
+        column = xp.floor(xp.minimum((x * to_disk + 1) * half, n_cells - 1.0))
+        row = xp.floor(xp.minimum((y * to_disk + 1) * half, n_cells - 1.0))
+        cell = row * n_cells + column
+        return [(xp.take(cones, cell), True) for cones in lists]
+
+    def _of_patches(self, whole: Floats, hemisphere: float) -> Floats:
+        """Integrals over patches; cones do not overlap, so no pairs are compared."""
+        return np.append(whole, hemisphere - whole.sum())
+
+    @cached_property
+    def _search(self) -> tuple[int, Singles]:
+        """Grid cells per side, and lists of the cones that overlap each cell.
+
+        Shape of the lists: ``(longest, n_cells ** 2)``. Short lists begin with cone 0.
         """
         axes = _axes(self.directions)
         reach = np.radians(self.half_angle)
         n_cells = int(np.clip(np.ceil(4 / reach), 8, MAX_CELLS))
-        # the map of the hemisphere onto the unit disk lengthens nothing
+        # the projection onto the unit disk lengthens no distance
         middle = axes[:, :2] / np.sqrt(1 + axes[:, 2:])
         margin = reach + 4 / n_cells * 1e-3
         first = np.floor((middle - margin + 1) * n_cells / 2).astype(int)
@@ -200,10 +137,10 @@ class Apertures(Subdivision):
         cone = np.repeat([cone for _, cone in cells], [len(c) for c, _ in cells])
         order = np.argsort(cell, kind="stable")
         cell, cone = cell[order], cone[order]
-        place = np.arange(len(cell)) - np.searchsorted(cell, cell)
-        lists = np.full((place.max() + 1, n_cells**2), len(axes), np.float32)
-        lists[place, cell] = cone
-        return n_cells, lists, np.vstack([axes, [0, 0, -3]]).astype(np.float32).T.copy()
+        later = np.searchsorted(cell, cell, side="right") - 1 - np.arange(len(cell))
+        lists = np.zeros((later.max() + 1, n_cells**2), np.float32)
+        lists[-1 - later, cell] = cone
+        return n_cells, lists
 
 
 def is_above(theta: Any, half_angle: float) -> Any:
@@ -226,7 +163,8 @@ def disjoint_groups(
     Returns
     -------
     list of list of (float, float)
-        Few, but not the fewest; a direction goes to the first group with room for it.
+        Each direction joins the first group with room for it: a greedy choice, not
+        always the smallest number of groups.
     """
     from scipy.spatial import cKDTree  # slow to import
 
@@ -249,7 +187,7 @@ def disjoint_groups(
 def _nearest(
     directions: Sequence[tuple[float, float]], half_angle: float
 ) -> tuple[int, int] | None:
-    """One pair of indices whose cones overlap, or None; in little memory."""
+    """Indices of one pair of overlapping cones, or None; never lists all pairs."""
     from scipy.spatial import cKDTree  # slow to import
 
     axes = _axes(directions)

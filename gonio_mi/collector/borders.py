@@ -1,4 +1,4 @@
-"""Hemispheres cut at given edges, or at those that suit a pilot measurement."""
+"""Hemispheres cut at given edges, or at edges adapted to a pilot measurement."""
 
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -85,11 +85,11 @@ def adapted(
     n_phi: int,
     uniform: float = 0.25,
 ) -> Borders:
-    """Subdivision whose rings and sectors are narrow where a pilot found the light.
+    """Subdivision with narrow rings and sectors where a pilot measured most light.
 
     After the paper's section 4 (and Greenberg et al. 1997): edges are quantiles of
     the pilot's flux over polar angle and over azimuth, mixed with a share of equal
-    projected solid angles so that no direction is left without patches.
+    projected solid angles so that all directions keep some patches.
 
     Parameters
     ----------

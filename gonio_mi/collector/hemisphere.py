@@ -4,6 +4,7 @@ It is described by the angle from its own pole; the lower hemisphere mirrors the
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
@@ -105,6 +106,11 @@ class Subdivision(ABC):
         raise SettingError(f"{self!s:.40} has no rings and sectors")
 
     @property
+    def fills_cells(self) -> bool:
+        """Whether each detector is the whole of its cell."""
+        return True
+
+    @property
     def axes(self) -> Floats | None:
         """Poles of the patches' cells, shape ``(n_patches, 3)``; None for +z."""
         return None
@@ -171,6 +177,13 @@ class Subdivision(ABC):
             Unit vectors; the sign of z is ignored.
         """
         return self.patch(v), np.ones(len(v), bool)
+
+    def within(self, windows: Sequence[tuple[float, ...]]) -> Flags | None:  # noqa: ARG002
+        """Patches within windows of :class:`~gonio_mi.collector.receptors.Receptors`.
+
+        None if the hemisphere is not cut along these windows.
+        """
+        return None
 
     def points(self, n: int, chosen: Integers | None = None) -> Floats:
         """Directions of ``n x n`` points in each patch, with z > 0.

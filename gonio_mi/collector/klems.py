@@ -1,4 +1,4 @@
-"""The Klems bases: the patches of window metrology and of Radiance's matrices.
+"""The Klems bases: patches of window metrology and of Radiance's BSDF matrices.
 
 Source: J. H. Klems, *A new method for predicting the solar heat gain of complex
 fenestration systems*, ASHRAE Transactions 100, 1994; edges as in Radiance's
@@ -33,10 +33,10 @@ COMMON = {"full": 480, "half": 480, "quarter": 48}
 
 @dataclass(frozen=True)
 class Klems(Subdivision):
-    """Rings of as many sectors as make patches alike: 145, 77 or 41 of them.
+    """145, 77 or 41 patches of similar size: each ring has its own number of sectors.
 
-    The first sector of each ring is centred on the azimuth 0. As a map it has as many
-    rows as patches and one column. The pole is in patch 0, and the horizon in none.
+    The first sector of each ring is centred on the azimuth 0. A map has one row per
+    patch and one column. Patch 0 contains the pole; no patch contains the horizon.
 
     Attributes
     ----------
@@ -124,7 +124,7 @@ class Klems(Subdivision):
         return Borders(self.theta_deg, (0, 360))
 
     def in_rings(self, values: NDArray[Any]) -> tuple[RingsAndSectors, NDArray[Any]]:
-        """Rings of sectors that are common to all, and `values` in them.
+        """Rings that share their sectors, and `values` in them.
 
         Parameters
         ----------

@@ -1,6 +1,6 @@
-"""A collector of receptor windows, each of its own size: field stops of instruments."""
+"""A collector of receptor windows of various sizes, such as field stops."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -12,7 +12,7 @@ from ..errors import SettingError, shown
 from .directions import direction
 from .hemisphere import EDGE, Subdivision
 
-# Full angles of windows, in degrees: below the first, single precision would show.
+# Full angles of windows, in degrees; single precision resolves none below the first.
 MIN_WIDTH, MAX_WIDTH = 0.02, 179.99
 
 Window = tuple[float, ...]
@@ -20,12 +20,13 @@ Window = tuple[float, ...]
 
 @dataclass(frozen=True)
 class Receptors(Subdivision):
-    r"""Round and rectangular windows about given axes, and all that is between them.
+    r"""Round and rectangular windows about given axes, and the gap between them.
 
-    Windows may lie in each other, as a gloss meter's field stop lies in a cone about
-    the mirror direction, but not overlap otherwise; patch ``i`` is window ``i`` without
-    those before it, and the last patch is what no window holds. As a map it has as many
-    rows as patches and one column. A rim belongs to what is outside.
+    A window may contain smaller ones, as a cone about the mirror direction contains the
+    field stop of a gloss meter; windows must not overlap otherwise. Patch ``i`` is
+    window ``i`` without the windows before it; the last patch is the rest of the
+    hemisphere. A map has one row per patch and one column. A rim belongs to the
+    outside.
 
     Parameters
     ----------
@@ -73,7 +74,7 @@ class Receptors(Subdivision):
 
     @classmethod
     def parse(cls, size: str) -> "Receptors":
-        """Build from what follows the colon of a name, ``60.0/180.0/4.4/11.7``."""
+        """Build from the text after the colon, such as ``60.0/180.0/4.4/11.7``."""
         words = [window.split("/") for window in size.split(",")]
         return cls(tuple(tuple(map(float, one)) for one in words))
 
@@ -91,8 +92,8 @@ class Receptors(Subdivision):
     def middles(self) -> tuple[Floats, Floats]:
         """Polar angles and azimuths of the windows' axes in radians.
 
-        Two arrays of the shape `shape`; NaN for what is between the windows, and of a
-        window about whose axis there is a smaller one.
+        Two arrays of the shape `shape`; NaN for the gap, and for a window whose axis
+        lies in a smaller one.
         """
         middles = np.radians([window[:2] for window in self.windows])
         outside = self.patch(self.axes[:-1]) != np.arange(self.n_detectors)
@@ -102,67 +103,79 @@ class Receptors(Subdivision):
     @property
     def axes(self) -> Floats:
         """Axes of the windows as unit vectors, shape ``(n_patches, 3)``; last +z."""
-        return np.array([*(_row(window)[6:9] for window in self.windows), (0, 0, 1)])
+        return np.vstack([_rows(self.windows)[:, :3], [0, 0, 1]])
 
     @property
     def cells(self) -> Floats:
-        """Cone that holds each window, about its axis; the hemisphere for the rest.
+        """Bounding cone of each window about its axis; the hemisphere for the gap.
 
         Shape ``(n_patches, 4)``, in radians.
         """
-        pairs = zip(self.windows, self.axes)
-        reach = [np.arccos(np.min(_rim(window) @ axis)) for window, axis in pairs]
-        return np.array([(0, r, 0, 2 * np.pi) for r in [*reach, np.pi / 2]])
+
+        def reach(window: Window) -> float:
+            return float(np.arccos(np.min(_rim(window) @ _frame(window)[2])))
+
+        reaches = self._of_windows(self._half_widths.copy(), reach)
+        return np.array([(0, r, 0, 2 * np.pi) for r in [*reaches, np.pi / 2]])
+
+    @property
+    def fills_cells(self) -> bool:
+        """Whether all windows are round, and none lies in another."""
+        apart = self._of_patches(np.ones(self.n_detectors), 0)[:-1] == 1
+        return bool(apart.all()) and all(len(window) == 3 for window in self.windows)
 
     @property
     def solid_angles(self) -> Floats:
         """Exact solid angle of each patch in sr, sum 2 pi; of the shape `shape`.
 
-        Of a rectangle ``4 asin(sin(along / 2) sin(across / 2))``.
+        Of a cone ``4 pi sin^2(a / 2)`` for a half-angle ``a``, of a rectangle
+        ``4 asin(sin(along / 2) sin(across / 2))``.
         """
-        sines = [np.sin(np.radians(window[2:]) / 2) for window in self.windows]
-        cones = [4 * np.pi * np.sin(np.radians(w[2]) / 4) ** 2 for w in self.windows]
-        rectangles = [4 * np.arcsin(np.prod(each)) for each in sines]
-        return self._of_patches(cones, rectangles, 2 * np.pi)
+        cones = 4 * np.pi * np.sin(self._half_widths / 2) ** 2
+        whole = self._of_windows(cones, _solid_angle)
+        return self._of_patches(whole, 2 * np.pi)[:, None]
 
     @property
     def projected_solid_angles(self) -> Floats:
         """Exact integral of cos(theta) over each patch in sr, sum pi.
 
-        Of a cone ``pi sin^2(a) cos(theta)`` for a half-angle ``a``; of a rectangle half
-        the sum over its sides of their lengths times the heights of their normals
-        (Lambert 1760, *Photometria*). Of the shape `shape`.
+        Of a cone ``pi sin^2(a) cos(theta)`` for a half-angle ``a`` around ``theta``; of
+        a rectangle half the sum over its sides of their lengths times the heights of
+        their normals (Lambert 1760, *Photometria*). Of the shape `shape`.
         """
-        cones, rectangles = [], []
-        for window in self.windows:
-            sin2 = np.sin(np.radians(window[2]) / 2) ** 2
-            cones.append(np.pi * sin2 * np.cos(np.radians(window[0])))
-            corners = _rim(window, 4)
-            others = np.roll(corners, -1, axis=0)
-            normals = np.cross(corners, others)
-            sines = np.linalg.norm(normals, axis=1)
-            sides = np.arctan2(sines, np.sum(corners * others, axis=1))
-            rectangles.append(np.sum(sides * normals[:, 2] / sines) / 2)
-        return self._of_patches(cones, rectangles, np.pi)
+        theta = np.radians([window[0] for window in self.windows])
+        cones = np.pi * np.sin(self._half_widths) ** 2 * np.cos(theta)
+        whole = self._of_windows(cones, _projected_solid_angle)
+        return self._of_patches(whole, np.pi)[:, None]
 
     def patch_index(self, xp: Any, x: Any, y: Any, z: Any) -> Any:
-        """Index of the first window that holds each direction, or their number.
+        """Index of the window that holds each direction, or the number of windows.
 
         See :meth:`Subdivision.patch_index`.
         """
         index = x * 0 + float(self.n_detectors)
-        for number, window in reversed(list(enumerate(self.windows))):
+        for number, is_round in self._candidates(xp, x, y, z):
             # from a table, whose values may change without another kernel
-            row = [xp.take(column, x * 0 + float(number)) for column in self._table]
-            inside = _inside(len(window) == 3, row, x, y, z)
-            index = xp.where(inside, float(number), index)
+            columns = self._table[:4] if is_round else self._table
+            row = [xp.take(column, number) for column in columns]
+            index = xp.where(_inside(is_round, row, x, y, z), number, index)
         return index
 
-    def filled(self, n: int) -> tuple[Floats, Floats]:
-        """Directions of ``n x n`` points in the last window, and what each stands for.
+    def within(self, windows: Sequence[Window]) -> Flags | None:
+        """Patches within the given windows; None if the collector lacks one of them."""
+        if not {*windows} <= {*self.windows}:
+            return None
+        inside = [
+            any(each == one or holds(one, each) for one in windows)
+            for each in self.windows
+        ]
+        return np.array([*inside, False])
 
-        Shapes ``(n * n, 3)`` and ``(n * n,)``: projected solid angles in sr, which are
-        0 below the horizon.
+    def filled(self, n: int) -> tuple[Floats, Floats]:
+        """Directions of ``n x n`` points in the last window, and their weights.
+
+        Shapes ``(n * n, 3)`` and ``(n * n,)``. The weights are projected solid angles
+        in sr, 0 below the horizon.
         """
         window = self.windows[-1]
         step = (np.arange(n) + 0.5) / n
@@ -179,74 +192,118 @@ class Receptors(Subdivision):
             norm = np.sqrt(1 + u**2 + v**2)
             local = np.stack([u, v, np.ones_like(u)], axis=-1) / norm[..., None]
             weight = (4 * np.prod(np.tan(half)) / n**2 / norm**3).ravel()
-        wo = local.reshape(-1, 3) @ np.reshape(_row(window)[:9], (3, 3))
+        wo = local.reshape(-1, 3) @ _frame(window)
         return wo, weight * np.maximum(wo[:, 2], 0)
 
-    def _of_patches(
-        self, cones: Sequence[float], rectangles: Sequence[float], hemisphere: float
+    def _candidates(self, xp: Any, x: Any, y: Any, z: Any) -> list[tuple[Any, bool]]:  # noqa: ARG002
+        """Numbers of the windows to test, and whether they are round.
+
+        The last match counts, so that the first of nested windows comes last.
+        """
+        numbers = reversed(range(self.n_detectors))
+        return [(x * 0 + float(i), len(self.windows[i]) == 3) for i in numbers]
+
+    def _of_windows(
+        self, cones: Floats, rectangle: Callable[[Window], float]
     ) -> Floats:
-        """Integrals over windows of either kind, and the hemisphere: over patches."""
-        round_ones = [len(window) == 3 for window in self.windows]
-        whole = np.where(round_ones, cones, rectangles)
+        """Values of all windows, with those of rectangles from a function."""
+        for i, window in enumerate(self.windows):
+            if len(window) == 4:
+                cones[i] = rectangle(window)
+        return cones
+
+    def _of_patches(self, whole: Floats, hemisphere: float) -> Floats:
+        """Integrals over patches, from integrals over windows and the hemisphere."""
         patches = np.append(whole, hemisphere)
         for i, window in enumerate(self.windows):
-            # the smallest of those that hold it, or the hemisphere
+            # the smallest window around it, or the hemisphere
             later = range(i + 1, self.n_detectors)
             outer = next((j for j in later if holds(self.windows[j], window)), -1)
             patches[outer] -= whole[i]
-        return patches[:, None]
+        return patches
+
+    @property
+    def _half_widths(self) -> Floats:
+        """Half of the first angular width of each window in radians."""
+        return np.radians([window[2] for window in self.windows]) / 2
 
     @cached_property
     def _table(self) -> Singles:
-        """Columns: frame of each window, and the limits of what it holds."""
-        rows = [_row(window) for window in self.windows]
-        return np.array(rows, np.float32).T.copy()
+        """Columns of `_rows` in single precision."""
+        return _rows(self.windows).astype(np.float32).T.copy()
 
 
 def holds(outer: Window, inner: Window) -> bool:
-    """Whether a window lies within another one, and is not all of it."""
+    """Whether the outer window contains a smaller one."""
     return outer != inner and bool(_within(outer, _rim(inner), 1 + EDGE).all())
 
 
 def _touch(a: Window, b: Window) -> bool:
-    """Whether part of the rim of one of two windows lies within the other."""
+    """Whether the rim of either window enters the other."""
     return bool(np.any(_within(a, _rim(b))) or np.any(_within(b, _rim(a))))
 
 
 def _within(window: Window, v: Floats, stretch: float = 1 - EDGE) -> Flags:
-    """Whether a window, made wider or narrower by a factor, holds directions."""
-    row = _row((*window[:2], *(stretch * size for size in window[2:])))
+    """Whether directions lie in a window whose widths are scaled by a factor."""
+    (row,) = _rows([(*window[:2], *(stretch * size for size in window[2:]))])
     return np.asarray(_inside(len(window) == 3, row, *v.T))
 
 
 def _inside(is_round: bool, row: Sequence[Any], x: Any, y: Any, z: Any) -> Any:
-    """Whether the window of a row of the table holds directions."""
+    """Whether directions lie in the window of a row of the table."""
     if is_round:  # chords keep their precision for narrow cones
-        u, v, w = x - row[6], y - row[7], z - row[8]
-        return u * u + v * v + w * w < row[9]
-    u, v, w = (x * row[i] + y * row[i + 1] + z * row[i + 2] for i in (0, 3, 6))
-    return (u * u < row[9] * w * w) & (v * v < row[10] * w * w) & (w > 0)
+        u, v, w = x - row[0], y - row[1], z - row[2]
+        return u * u + v * v + w * w < row[3]
+    u, v, w = (x * row[i] + y * row[i + 1] + z * row[i + 2] for i in (4, 7, 0))
+    return (u * u < row[3] * w * w) & (v * v < row[10] * w * w) & (w > 0)
 
 
 def _is_window(window: Window) -> bool:
-    """Whether numbers are those of a window above the horizon."""
+    """Whether the numbers describe a window above the horizon."""
     if len(window) not in (3, 4) or not np.isfinite(window).all():
         return False
     fits = min(window[2:]) >= MIN_WIDTH and max(window[2:]) <= MAX_WIDTH
     return bool(fits and 0 <= window[0] <= 90 and _rim(window)[:, 2].min() > -EDGE)
 
 
-def _row(window: Window) -> list[float]:
-    """Frame of a window, and the limits of what it holds."""
-    theta, phi = np.radians(window[:2])
-    half = np.radians(window[2:]) / 2
+def _rows(windows: Sequence[Window]) -> Floats:
+    """Table of the windows, shape ``(n, 11)``.
+
+    Columns: axis, limit (of the squared chord, or of the squared tangent along), axes
+    along and across, limit across. A round window needs the first four only.
+    """
+    theta, phi = np.radians([window[:2] for window in windows]).T
+    half = np.radians([(window[2], window[-1]) for window in windows]) / 2
+    is_round = np.array([len(window) == 3 for window in windows])[:, None]
+    limits = np.where(is_round, 4 * np.sin(half / 2) ** 2, np.tan(half) ** 2)
+    across = np.stack([-np.sin(phi), np.cos(phi), np.zeros_like(phi)], axis=-1)
     along, axis = direction(theta + np.pi / 2, phi), direction(theta, phi)
-    limits = [4 * np.sin(half[0] / 2) ** 2, 0] if len(half) == 1 else np.tan(half) ** 2
-    return [*along, -np.sin(phi), np.cos(phi), 0.0, *axis, *limits]
+    return np.hstack([axis, limits[:, :1], along, across, limits[:, 1:]])
+
+
+def _frame(window: Window) -> Floats:
+    """Local frame of a window: axes along and across, and its own axis, as rows."""
+    (row,) = _rows([window])
+    return np.array([row[4:7], row[7:10], row[:3]])
+
+
+def _solid_angle(rectangle: Window) -> float:
+    """Solid angle of a rectangular window in sr."""
+    return float(4 * np.arcsin(np.prod(np.sin(np.radians(rectangle[2:]) / 2))))
+
+
+def _projected_solid_angle(rectangle: Window) -> float:
+    """Projected solid angle of a rectangular window in sr."""
+    corners = _rim(rectangle, 4)
+    others = np.roll(corners, -1, axis=0)
+    normals = np.cross(corners, others)
+    sines = np.linalg.norm(normals, axis=1)
+    sides = np.arctan2(sines, np.sum(corners * others, axis=1))
+    return float(np.sum(sides * normals[:, 2] / sines) / 2)
 
 
 def _rim(window: Window, n: int = 64) -> Floats:
-    """`n` points of the rim, a rectangle's corners among them; unit vectors."""
+    """`n` points of the rim as unit vectors, including the corners of a rectangle."""
     turn = (np.arange(n) + n / 8) * (2 * np.pi / n)
     x, y = np.cos(turn), np.sin(turn)
     if len(window) == 4:
@@ -255,4 +312,4 @@ def _rim(window: Window, n: int = 64) -> Floats:
     along, across = np.tan(np.radians([window[2], window[-1]]) / 2)
     local = np.stack([x * along, y * across, np.ones(n)], axis=-1)
     local /= np.linalg.norm(local, axis=1, keepdims=True)
-    return np.asarray(local @ np.reshape(_row(window)[:9], (3, 3)))
+    return np.asarray(local @ _frame(window))

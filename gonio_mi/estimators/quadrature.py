@@ -11,7 +11,6 @@ import mitsuba as mi
 import numpy as np
 
 from ..array_types import Floats
-from ..collector.receptors import holds
 from ..errors import SpecimenError
 from ..quadrature.integrate import integrate_each
 from ..results.tally import WEIGHT_SCALE, Integrals, Tally
@@ -35,16 +34,13 @@ class Quadrature(Method):
     def check(self, setup: Setup) -> None:
         """Raise SpecimenError unless one plane integral is all there is."""
         plane, settings = setup.specimen.plane, setup.settings
-        windows = getattr(setup.collector.subdivision, "windows", ())
         check_unpolarised("the estimator quadrature")
         needs = {
             "a single flat rectangle": plane is not None and not settings.trace,
             "a collimated beam": setup.beam.collimated
             and not (settings.divergence or settings.incident),
             "a collector in the far field": not setup.collector.radius,
-            "round windows, none in another": not any(
-                len(a) == 4 or holds(b, a) for a in windows for b in windows
-            ),
+            "round windows, none in another": setup.collector.subdivision.fills_cells,
             "the order all": settings.order == ALL_ORDERS,
             "the same BSDF all over the specimen": plane is None
             or settings.footprint == "point"

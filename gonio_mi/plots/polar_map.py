@@ -12,19 +12,19 @@ from matplotlib.patches import Circle
 from matplotlib.patheffects import withStroke
 
 from ..array_types import Floats
-from ..collector import Apertures, RingsAndSectors
+from ..collector import RingsAndSectors, Subdivision
 from ..results.record import Record
 from .profile import BORDER_TOLERANCE, drawn_in_rings, sectors_beside
 
-# More than this between largest and smallest value, or the first between largest and
-# median, and the scale is logarithmic.
+# Ratios of the largest value to the smallest, and to the median, above which the scale
+# is logarithmic.
 MIN_LOG_RANGE, MIN_LOG_PEAK = 100, 20
-# What is this much darker than the brightest patch has the darkest colour.
+# Values below this fraction of the largest one have the darkest colour.
 MIN_RELATIVE_VALUE = 1e-6
 # Degrees of azimuth in which the edge of a patch is drawn as a straight line.
 MAX_CHORD_DEG = 1
 NO_HIT = "0.8"
-# Half the width of a map, in that of its circle: marks at the horizon are not cut.
+# Half the width of a map in radii of its circle; marks at the horizon are not cut.
 HALF_WIDTH = 1.08
 # Polar angles in degrees that are drawn as circles.
 CIRCLES = (30, 60, 90)
@@ -63,24 +63,23 @@ def add_legend(place: Any, maps: Iterable[Axes], **where: Any) -> None:
 
 def shown_values(
     single: Record, of: str, values: Floats | None = None
-) -> tuple[RingsAndSectors | Apertures, np.ma.MaskedArray[Any, Any]]:
+) -> tuple[RingsAndSectors | None, np.ma.MaskedArray[Any, Any]]:
     """Rings and sectors, and the mean over channels in them, masked without a hit.
 
-    Or other `values` of the patches, shape ``(n_theta, n_phi)``, masked where NaN. Of
-    apertures these themselves, and their values in one column.
+    `values` of the patches, shape ``(n_theta, n_phi)``, replace the quantity; they are
+    masked where NaN. Apertures have no rings; their values are in one column.
     """
     shown = getattr(single, of) if values is None else values[..., None]
     empty = single.without_hit[int(of == "btdf"), ..., None]
-    patches: RingsAndSectors | Apertures
-    if isinstance(single.subdivision, Apertures):
-        patches, n = single.subdivision, single.subdivision.n_detectors
-        means, empty = shown[:n], empty[:n]
+    patches, rings = single.subdivision, None
+    if patches.aperture_half_angle is None:
+        rings, means = drawn_in_rings(patches, shown)
+        _, empty = drawn_in_rings(patches, empty)
     else:
-        patches, means = drawn_in_rings(single.subdivision, shown)
-        _, empty = drawn_in_rings(single.subdivision, empty)
+        means, empty = shown[: patches.n_detectors], empty[: patches.n_detectors]
     means = means.mean(axis=-1)
     masked = empty[..., 0] if values is None else empty[..., 0] | np.isnan(means)
-    return patches, np.ma.masked_array(means, mask=masked)
+    return rings, np.ma.masked_array(means, mask=masked)
 
 
 def scale_of(values: Floats) -> colors.Normalize:
@@ -109,20 +108,22 @@ def draw_patches(
     `note` follows the name of the mirror direction, or of that straight through;
     `values` are drawn instead of the quantity `of`.
     """
-    patches, shown = shown_values(single, of, values)
+    rings, shown = shown_values(single, of, values)
     style: dict[str, Any] = {"norm": scale, "cmap": colours, "rasterized": True}
     mesh: Collection
-    if isinstance(patches, Apertures):
+    if rings is None:
         axes.add_patch(Circle((0, 0), 1, color=NO_HIT, lw=0))
         # drawn with a line, so that the narrowest are seen
-        mesh = PolyCollection(_rims(patches), edgecolors="face", linewidths=1, **style)
+        mesh = PolyCollection(
+            _rims(single.subdivision), edgecolors="face", linewidths=1, **style
+        )
         mesh.set_array(shown.ravel())
         axes.add_collection(mesh)
     else:
-        pieces = math.ceil(360 / patches.n_phi / MAX_CHORD_DEG)
-        steps = np.arange(patches.n_phi * pieces + 1) / pieces
-        phi = np.interp(steps, np.arange(patches.n_phi + 1), patches.phi_edges)
-        radius = np.sin(patches.theta_edges)[:, None]
+        pieces = math.ceil(360 / rings.n_phi / MAX_CHORD_DEG)
+        steps = np.arange(rings.n_phi * pieces + 1) / pieces
+        phi = np.interp(steps, np.arange(rings.n_phi + 1), rings.phi_edges)
+        radius = np.sin(rings.theta_edges)[:, None]
         x, y = radius * np.cos(phi), radius * np.sin(phi)
         mesh = axes.pcolormesh(x, y, np.ma.repeat(shown, pieces, axis=1), **style)
     mesh.set_cmap(mesh.get_cmap().with_extremes(bad=NO_HIT))
@@ -132,7 +133,7 @@ def draw_patches(
         style = {"c": "0.2", "lw": 0.8} if theta == 90 else {"c": "w", "lw": 0.4}
         axes.plot(size * np.cos(circle), size * np.sin(circle), **style)
     _mark_directions(axes, single, of, note)
-    grey = ["no aperture"] if isinstance(patches, Apertures) else []
+    grey = ["no aperture"] if rings is None else []
     grey += ["no hit"] if shown.mask.any() else []
     for label in grey:
         axes.plot([], [], "s", color=NO_HIT, label=label)
@@ -142,10 +143,10 @@ def draw_patches(
     return mesh
 
 
-def _rims(patches: Apertures) -> Floats:
-    """Rims of cones as they are seen along -z, shape ``(n, points, 2)``."""
+def _rims(patches: Subdivision) -> Floats:
+    """Rims of apertures seen along -z, shape ``(n, points, 2)``."""
     theta, phi = (angle[:-1] for angle in patches.middles)
-    half, turn = math.radians(patches.half_angle), np.radians(np.arange(360))
+    half, turn = float(patches.cells[0, 1]), np.radians(np.arange(360))
     across = math.sin(half) * np.cos(turn) * np.cos(theta)
     across += math.cos(half) * np.sin(theta)
     along = math.sin(half) * np.sin(turn)
@@ -157,7 +158,7 @@ def _rims(patches: Apertures) -> Floats:
 def add_bar(
     figure: Any, mesh: Collection, place: Axes, single: Record, of: str
 ) -> None:
-    """Draw the colour bar of a map into axes of its own."""
+    """Draw the colour bar of a map into the axes `place`."""
     colour_bar(figure, mesh, None, bar_label(single, of), cax=place)
 
 
@@ -172,7 +173,7 @@ def bar_label(single: Record, of: str) -> str:
 def colour_bar(
     figure: Any, mesh: Collection, beside: Any, label: str, **place: Any
 ) -> None:
-    """Draw a colour bar `beside` axes, or where matplotlib's keywords put it."""
+    """Draw a colour bar `beside` axes, or at the place of matplotlib's keywords."""
     bar = figure.colorbar(mesh, ax=beside, **place)
     bar.set_label(label)
     bar.outline.set_linewidth(0.5)
@@ -208,7 +209,7 @@ def border_note(single: Record) -> str:
 
 
 def _mark_directions(axes: Axes, single: Record, of: str, note: str) -> None:
-    """Mark where the light comes from, and where a smooth specimen would send it."""
+    """Mark the incident direction, and the mirror or straight-through direction."""
     theta, phi = np.radians([single.theta_i[0], single.phi_i[0]])
     if np.isnan(theta) or np.isnan(phi):
         return

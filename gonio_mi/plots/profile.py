@@ -1,6 +1,6 @@
-"""The profile of a record: its patches in the plane of incidence, and their drawing.
+"""The profile of a record in the plane of incidence, and its drawing.
 
-Here too are the rings and sectors that are drawn in the place of other patches.
+Also the rings and sectors that stand for other patches in a drawing.
 """
 
 import math
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..array_types import Flags, Floats
-from ..collector import Apertures, Borders, RingsAndSectors, Subdivision
+from ..collector import Borders, RingsAndSectors, Subdivision
 from ..collector.directions import direction
 from ..collector.shirley_chiu import ShirleyChiu
 from ..results.record import Record
@@ -22,19 +22,19 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 LEVEL = 0.95
-# More patches than this, and their intervals are drawn as a band.
+# Number of patches above which intervals are drawn as a band.
 MAX_POINTS = 200
-# Directions of a stack that still make a readable profile.
+# Largest number of incident directions in one profile.
 MAX_CURVES = 8
-# More than this between largest and smallest value, and the axis is logarithmic.
+# Ratio of the largest to the smallest value above which the axis is logarithmic.
 MIN_LOG_RANGE = 100
-# A logarithmic axis begins no deeper than this below the largest value.
+# A logarithmic axis begins at this fraction of the largest value, or above.
 MIN_RELATIVE_VALUE = 1e-9
-# Less than this, and it does not begin at zero.
+# Ratio of the largest to the smallest value below which the axis omits zero.
 MIN_ZERO_RANGE = 1.5
-# What belongs to no curve alone.
+# Colour of marks that several curves share.
 GREY = "0.4"
-# Part of the values that the axis spans at least: less is rounding.
+# Smallest span of the axis, relative to the values; less is rounding.
 MIN_RANGE = 0.01
 # Steps in degrees of the rings and sectors that stand for other patches.
 FINE_STEP_DEG = 1
@@ -99,7 +99,7 @@ def cut_profile(
         dark = np.all(dark, axis=-1, keepdims=True)
     arrays = value, low, high, dark
     phi_i = float(np.radians(np.nan_to_num(single.phi_i[0])))
-    if isinstance(single.subdivision, Apertures):
+    if single.subdivision.aperture_half_angle is not None:
         return _cones_in_plane(single.subdivision, phi_i, arrays)
     if isinstance(single.subdivision, ShirleyChiu):
         return _runs_in_plane(single.subdivision, phi_i, arrays)
@@ -122,17 +122,17 @@ def cut_profile(
 
 
 def _cones_in_plane(
-    patches: Apertures, phi_i: float, arrays: Iterable[NDArray[Any]]
+    patches: Subdivision, phi_i: float, arrays: Iterable[NDArray[Any]]
 ) -> Profile:
-    """Profile of the cones that the plane of incidence cuts, each one cell.
+    """Profile of the cones that the plane of incidence cuts, one cell for each.
 
-    What lies between them is dark and has no upper limit.
+    The gaps between cones are dark and have no upper limit.
     """
-    axes = patches.axes[:-1]
+    axes = direction(*patches.middles)[:-1, 0]
     beyond = -axes[:, 0] * math.cos(phi_i) - axes[:, 1] * math.sin(phi_i)
     # cosine of the angle between an axis and its projection on the plane
     cosine = np.hypot(beyond, axes[:, 2])
-    cos_half = math.cos(math.radians(patches.half_angle))
+    cos_half = math.cos(patches.cells[0, 1])
     (met,) = np.nonzero(cosine > cos_half)
     theta = np.degrees(np.arctan2(beyond, axes[:, 2]))[met]
     met, theta = met[np.argsort(theta)], np.sort(theta)
@@ -153,7 +153,7 @@ def _cones_in_plane(
 def _runs_in_plane(
     patches: ShirleyChiu, phi_i: float, arrays: Iterable[NDArray[Any]]
 ) -> Profile:
-    """Profile of the patches that the plane of incidence crosses, to a fine step."""
+    """Profile of the patches along the plane of incidence, in fine steps."""
     steps = np.arange(-90, 90 + FINE_STEP_DEG, FINE_STEP_DEG, dtype=float)
     middles = np.radians(steps[1:] + steps[:-1]) / 2
     index = patches.patch(direction(np.abs(middles), phi_i + np.pi * (middles > 0)))

@@ -13,7 +13,7 @@ from ...annexes import ask
 from ...array_types import Floats
 from ...campaigns.measure import measure
 from ...collector import Borders, Receptors, Subdivision
-from ...collector.receptors import Window, holds
+from ...collector.receptors import Window
 from ...errors import (
     SettingError,
     SettingTypeError,
@@ -368,15 +368,11 @@ def _within(own: Definition, record: Record, windows: Sequence[Window]) -> Float
         raise SettingError(f"{text}, which light misses")
     weights = np.zeros((record.n_hemispheres, patches.n_patches))
     turned = tuple(_turned(window, float(record.phi_i[0])) for window in windows)
-    if not windows:
-        weights[int(own.lower)] = 1.0
-    elif not (isinstance(patches, Receptors) and {*turned} <= {*patches.windows}):
+    inside = patches.within(turned) if windows else True
+    if inside is None:
         wanted = f"the collector {Receptors(turned)}"
         raise SettingError(f"{own.title} needs {wanted}, got {patches!s:.40}")
-    else:
-        for i, each in enumerate(patches.windows):
-            inside = (each == one or holds(one, each) for one in turned)
-            weights[int(own.lower), i] = any(inside)
+    weights[int(own.lower)] = inside
     return weights.reshape(-1, *patches.shape)
 
 

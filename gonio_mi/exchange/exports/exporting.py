@@ -220,10 +220,10 @@ def _elements(record: Record, quantity: str, number: int) -> dict[str, Floats]:
     if not record.polarised:
         return {}
     known = np.isfinite(record.subdivision.middles[0])
+    shape = len(record), *known.shape, len(record.channels), 16
     columns: dict[str, Floats] = {}
     for prefix, ending in (("", ""), ("sigma_", "_std_err")):
-        matrices = getattr(record, f"{quantity}_mueller{ending}")
-        matrices = matrices if record.stacked else matrices[None]
+        matrices = getattr(record, f"{quantity}_mueller{ending}").reshape(shape)
         of_rows = matrices[:, known, number].reshape(-1, 16)
         names = [f"{prefix}{name}" for name in ELEMENT_NAMES]
         columns |= dict(zip(names, of_rows.T[1:]))

@@ -6,7 +6,7 @@ import pytest
 from budget import agree, count_verdict, disagree
 
 from gonio_mi import Borders, Subdivision, adapted, subdivision
-from gonio_mi.collector import RingsAndSectors
+from gonio_mi.collector import Receptors, RingsAndSectors
 from gonio_mi.collector.directions import angles, direction
 from gonio_mi.collector.equal_steps import (
     EqualAngle,
@@ -216,6 +216,41 @@ def test_values_in_rings_are_those_of_the_patches(text):
 def test_apertures_have_no_common_points():
     with pytest.raises(ValueError, match="must have a common pole"):
         subdivision("apertures:5.0@30.0/0.0").points(2)
+
+
+def test_apertures_are_receptors_of_one_width():
+    """The same areas, cells and patches; but an aperture measures its axis only.
+
+    Twin: windows of another width are other patches.
+    """
+    cones = subdivision("apertures:5@30/0,20/90,60/200")
+    windows, wider = Receptors(cones.windows), subdivision("receptors:30/0/11")
+    v = float32_directions(5000, seed=4).astype(float)
+    v = np.concatenate([v, cones.axes[:3] + [0, 0, 1e-3]])
+    for name in ("solid_angles", "projected_solid_angles", "cells", "axes", "middles"):
+        ours, theirs = getattr(cones, name), getattr(windows, name)
+        # rounding: the rest is 2 pi or pi less three cones, in another order
+        np.testing.assert_allclose(ours, theirs, rtol=3 * EPS)
+    np.testing.assert_array_equal(cones.patch(v), windows.patch(v))
+    assert not np.array_equal(cones.patch(v) == 0, wider.patch(v) == 0)
+    assert cones.within([(20.0, 90.0, 10.0)]).tolist() == [False, True, False, False]
+    assert cones.within(wider.windows) is EqualAngle(2, 3).within(wider.windows) is None
+    assert cones.fills_cells
+    assert windows.detectors(v[-3:])[1].all()
+    assert not cones.detectors(v[-3:])[1].any()
+
+
+@pytest.mark.parametrize(
+    ("windows", "fill"),
+    [
+        ("30/0/5,60/0/5", True),
+        ("30/0/5,30/0/9", False),
+        ("30/0/5/5", False),
+    ],
+)
+def test_receptors_that_fill_their_cells(windows, fill):
+    """Round ones, of which none lies in another."""
+    assert subdivision(f"receptors:{windows}").fills_cells == fill
 
 
 @kinds
