@@ -58,8 +58,6 @@ class Around:
         rays carry unlike power, in units of a ray; that is the former at least.
     uneven : bool
         Whether deposits scatter too much for Student's t in most patches.
-    part : float
-        Part of the hemisphere's patches that the sum is of.
     """
 
     heavy: Floats
@@ -68,23 +66,21 @@ class Around:
     largest: Floats
     unlike: Floats
     uneven: bool = False
-    part: float = 1.0
 
     @classmethod
-    def nothing(cls, channels: int, part: float = 1.0) -> Around:
+    def nothing(cls, channels: int) -> Around:
         """Of a sum whose own hits are all that tell of it."""
         none = np.zeros(channels)
-        return cls(none, none, none, none + 1.0, none, part=part)
+        return cls(none, none, none, none + 1.0, none)
 
-    def scaled(self, flux: Floats, ray: Floats, part: float) -> Around:
-        """With fractions of another flux and another ray, for other patches."""
+    def scaled(self, flux: Floats, ray: Floats) -> Around:
+        """With fractions of another flux and another ray."""
         return replace(
             self,
             heavy=self.heavy * flux,
             typical=self.typical * flux,
             largest=self.largest * ray,
             unlike=self.unlike * ray,
-            part=part,
         )
 
     def joined(self, other: Around) -> Around:
@@ -93,7 +89,7 @@ class Around:
         found: dict[str, Any] = {
             n: np.maximum(getattr(self, n), getattr(other, n)) for n in names
         }
-        return Around(**found, part=max(self.part, other.part))
+        return Around(**found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +107,8 @@ class Estimate(ABC):
         Hits of one pass.
     rays : int
         Rays of one pass that bring the flux `incident`.
+    part : ndarray, broadcastable to ``(..., channels)``
+        Part of a hemisphere that a sum is of, by projected solid angle.
     rest : callable, optional
         Returns what all patches tell of it; without it these are all patches.
     """
@@ -120,6 +118,7 @@ class Estimate(ABC):
     incident: Numbers
     hits: Integers
     rays: int
+    part: Floats | float = 1.0
     rest: Callable[[], Around] | None = None
 
     @cached_property
@@ -174,7 +173,7 @@ class Estimate(ABC):
 
     def find_around(self) -> Around:
         """What these patches of one hemisphere tell of sums over some of them."""
-        return Around.nothing(self.sums.shape[-1], 1 / max(self.hits.size, 1))
+        return Around.nothing(self.sums.shape[-1])
 
     @cached_property
     def around(self) -> Around:
@@ -299,8 +298,7 @@ class SampledEstimate(Estimate):
             uneven = bool(self._uneven.sum() > MAX_UNEVEN_PATCHES * lit)
         none = np.zeros(len(heavy))
         largest = none + np.nanmax(self._weight, initial=1.0)
-        part = 1 / max(self.hits.size, 1)
-        return Around(heavy, share, none, largest, unlike, uneven, part)
+        return Around(heavy, share, none, largest, unlike, uneven)
 
     @property
     def _hits(self) -> Integers:
@@ -372,7 +370,7 @@ class SampledEstimate(Estimate):
         weight, unseen = self._weight, statistics.upper_limit(self.rays, level)
         rounding, n = ROUNDING * self.value, self.light.n_batches
         if self.light.deposited:
-            above = np.maximum(weight, (1 - weight) * self.around.part)
+            above = np.maximum(weight, (1 - weight) * self.part)
         else:
             all_rays = self._hits >= self.rays
             above = np.where(all_rays, np.maximum(1 - weight, 0), weight)
@@ -454,7 +452,7 @@ class SplitEstimate(ControlledEstimate):
         """Power of the branches of a ray that a sum receives; of a ray without any."""
         tally, ledger = self.light.tally, self.light.tally.ledger
         alone = tally.hits.sum() == ledger.reflected + ledger.transmitted
-        return super()._one * (1 if alone else max(1 / BRANCHES, self.around.part))
+        return super()._one * (1 if alone else np.maximum(1 / BRANCHES, self.part))
 
     def find_around(self) -> Around:
         """Points have the weight of those in the median patch at least."""
@@ -530,6 +528,8 @@ class Estimates:
         How often each ray was sent, for more wavelengths than one carries.
     rounding : float
         Part of a value of facets that rounding may change alike in all batches.
+    solid : ndarray, shape (n_theta, n_phi), optional
+        Projected solid angles of the patches in sr; without them all are alike.
     """
 
     tally: Tally
@@ -538,6 +538,7 @@ class Estimates:
     deposited: bool = False
     passes: int = 1
     rounding: float = ROUNDING
+    solid: Floats | None = None
 
     @cached_property
     def hits(self) -> Integers:
@@ -552,6 +553,14 @@ class Estimates:
         """Rays of one pass that met the specimen."""
         ledger = self.tally.ledger
         return (ledger.emitted - ledger.missed - ledger.unlit) // self.passes
+
+    @cached_property
+    def parts(self) -> Floats:
+        """Part of a hemisphere that each patch is, by projected solid angle."""
+        if self.solid is not None:
+            return self.solid / np.pi
+        shape = self.tally.hits.shape[1:]
+        return np.full(shape, 1 / (shape[0] * shape[1]))
 
     @cached_property
     def unlike_power(self) -> bool:
@@ -594,7 +603,7 @@ class Estimates:
         """What passed a periodic specimen without any event, shape ``(channels,)``."""
         tally, hits = self.tally, self._of_a_pass(self.tally.ledger.direct)
         own = partial(Around.nothing, tally.channels)
-        where = self, tally.direct, tally.incident, hits, self.rays, own
+        where = self, tally.direct, tally.incident, hits, self.rays, 1.0, own
         if isinstance(tally, Integrals):
             return IntegralEstimate(*where, error=np.zeros(tally.channels))
         return SampledEstimate(*where)
@@ -620,14 +629,15 @@ class Estimates:
             found = []
             for own, patches in zip(np.abs(weights), self._patches):
                 if own.any():
-                    size, part = flux * own.max(), float(np.mean(own > 0))
+                    size = flux * own.max()
                     ray = size * rays / self.rays
-                    found.append(patches.around.scaled(size, ray, part))
+                    found.append(patches.around.scaled(size, ray))
             return reduce(Around.joined, found or [Around.nothing(tally.channels)])
 
         sums = summed(tally.sums, weights)
         hits = self._of_a_pass(tally.hits[weights != 0].sum(dtype=np.uint64))
-        where = self, sums, incident, hits, rays, rest
+        part = max(float(self.parts[own != 0].sum()) for own in weights)
+        where = self, sums, incident, hits, rays, part, rest
         if not isinstance(tally, Integrals):
             return self.kind(*where)
         spread = np.abs(weights)
@@ -653,7 +663,8 @@ class Estimates:
         """Estimates of the patches of each hemisphere."""
         tally, found = self.tally, []
         for i, hits in enumerate(self.hits):
-            where = self, tally.sums[:, i], tally.incident, hits, self.rays
+            part = self.parts[..., None]
+            where = self, tally.sums[:, i], tally.incident, hits, self.rays, part
             more = {}
             if isinstance(tally, Integrals):
                 more = {"error": tally.errors[i] / tally.incident.max(axis=0)}

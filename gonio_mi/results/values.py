@@ -485,6 +485,7 @@ class MeasuredValues:
             deposited=self.asked.sends_points,
             passes=self.provenance.passes,
             rounding=rounding,
+            solid=self.subdivision.projected_solid_angles,
         )
 
     def _both(
