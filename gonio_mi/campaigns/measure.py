@@ -16,7 +16,6 @@ from ..results.record import Record
 from ..results.summary import lost_light
 from ..settings import MeasurementSettings, declarations, numpydoc
 from ..specimen.specimen_text import SpecimenLike
-from .campaign import campaign
 
 
 def measure(
@@ -97,6 +96,8 @@ def measure(
         raise SettingError("resume and folder are mutually exclusive")
     else:
         where: dict[str, Any] = {"executor": executor, "folder": folder}
+        from .campaign import campaign  # pools of processes are slow to import
+
         done = campaign({"specimen": specimen}, theta_i, phi_i, **where, **settings)
         record = done["specimen"]
     record = record if stacked else record[0]

@@ -31,11 +31,9 @@ from typing import Any
 
 from .. import files
 from ..annexes import ask
-from ..campaigns.campaign import campaign
 from ..campaigns.measure import measure
 from ..errors import LostLightWarning, SettingError
 from ..instrument.measure import measure_orders
-from ..plots import ANIMATION_ENDINGS, FIGURE_ENDINGS
 from ..results.record import Record
 from ..results.summary import summarize
 from ..results.summary_text import summary_text
@@ -85,13 +83,6 @@ RARE = (
     *("--size-y", "--scale", "--range", "--unit", "--form", "--fill", "--mean-plane"),
     *("--normal", "--size", "--wavelengths", "--workers", "--folder", "--resume"),
 )
-
-# What makes other files of a record, by their endings.
-MAKERS = {
-    "plot": FIGURE_ENDINGS + ANIMATION_ENDINGS,
-    "report": (".html",),
-    "export": ask("exchange", "ENDINGS", ()),
-}
 
 
 def add_options(parser: ArgumentParser) -> None:
@@ -201,8 +192,17 @@ def _run(options: Namespace, orders: Sequence[str] = ()) -> int:
 
 def _check_kind(path: str) -> None:
     """Name the command that makes a file which is not a record."""
+    from ..plots.figure import ANIMATION_ENDINGS, FIGURE_ENDINGS
+
     ending = Path(path).suffix.lower()
-    for command, endings in MAKERS.items():
+    if ending in files.ENDINGS:
+        return
+    makers = {
+        "plot": FIGURE_ENDINGS + ANIMATION_ENDINGS,
+        "report": (".html",),
+        "export": ask("exchange", "ENDINGS", ()),
+    }
+    for command, endings in makers.items():
         if ending in endings:
             raise SettingError(
                 f"measure writes records, .npz or .exr, got {path}: save one, and "
@@ -248,6 +248,8 @@ def _measured(
             "--resume cannot be combined with --workers, --folder or --tolerance"
         )
     where = where or {"plugins": options.plugin}
+    from ..campaigns.campaign import campaign
+
     with kept_after_ctrl_c(options.folder):
         given = {options.specimen: specimen}
         record = campaign(given, **where, **chosen, **settings)[options.specimen]

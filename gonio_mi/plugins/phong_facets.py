@@ -8,7 +8,7 @@ c = sqrt((e_u + 1)(e_v + 1)) / (2 pi).
 from functools import lru_cache
 
 import numpy as np
-from scipy import special
+import scipy  # its parts are imported when used
 
 from ..array_types import Floats
 
@@ -56,7 +56,12 @@ def averted_area(k: Floats, e_u: float, e_v: float, n_nodes: int = 32) -> Floats
         edge = np.nan_to_num(z**2 / (away**2 + z**2), nan=1.0)
     half = (exponent + 3) / 2
     area = z * (1 - edge) ** (exponent / 2 + 1) / (exponent + 2)
-    area += away * special.beta(half, 0.5) * (1 - special.betainc(0.5, half, edge)) / 2
+    area += (
+        away
+        * scipy.special.beta(half, 0.5)
+        * (1 - scipy.special.betainc(0.5, half, edge))
+        / 2
+    )
     return area @ weight
 
 

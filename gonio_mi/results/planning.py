@@ -11,8 +11,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # its parts are imported when used
 from numpy.typing import ArrayLike
-from scipy import special
 
 from ..array_types import Flags, Floats
 from ..collector import Subdivision, subdivision
@@ -312,7 +312,7 @@ def reliability(probabilities: ArrayLike, rel_err: float, rays: float) -> float:
     """
     p = np.asarray(probabilities, dtype=float).ravel()
     scores = rel_err * np.sqrt(rays * p / np.maximum(1 - p, np.finfo(float).tiny))
-    return max(0.0, 1 - 2 * float(special.ndtr(-scores).sum()))
+    return max(0.0, 1 - 2 * float(scipy.special.ndtr(-scores).sum()))
 
 
 def relative_rays(probabilities: ArrayLike, rel_err: float, level: float = 0.95) -> int:
@@ -342,8 +342,8 @@ def relative_rays(probabilities: ArrayLike, rel_err: float, level: float = 0.95)
     level = checked_number("level", level, 1e-9, 1, "a number in (0, 1)")
     # the rarest patch alone, and every patch as rare as it, bracket the answer
     odds = (1 - p.min()) / p.min() + 1e-12
-    low = odds * (special.ndtri((1 - level) / 2) / rel_err) ** 2
-    high = odds * (special.ndtri((1 - level) / (2 * p.size)) / rel_err) ** 2
+    low = odds * (scipy.special.ndtri((1 - level) / 2) / rel_err) ** 2
+    high = odds * (scipy.special.ndtri((1 - level) / (2 * p.size)) / rel_err) ** 2
     if p.size == 1:
         return math.ceil(low)
     from scipy import optimize  # slow to import, and used here only

@@ -6,8 +6,8 @@ Normal scores: the number of standard deviations that is as improbable as a find
 from collections.abc import Iterator
 
 import numpy as np
+import scipy  # its parts are imported when used
 from numpy.typing import ArrayLike
-from scipy import special
 
 from ..array_types import Floats, Integers, Numbers
 
@@ -174,8 +174,8 @@ def binomial_interval(
     tail = (1 - level) / 2
     misses = rays - hits
     # quantiles of the beta distribution; scipy.stats would double the time of import
-    low = special.betaincinv(hits, misses + 1, tail)
-    high = special.betaincinv(hits + 1, misses, 1 - tail)
+    low = scipy.special.betaincinv(hits, misses + 1, tail)
+    high = scipy.special.betaincinv(hits + 1, misses, 1 - tail)
     return np.where(hits == 0, 0.0, low), np.where(misses == 0, 1.0, high)
 
 
@@ -205,9 +205,11 @@ def gamma_interval(
     tail, variance = (1 - level) / 2, np.square(std_err)
     with np.errstate(divide="ignore", invalid="ignore"):
         counted = np.where(heavy * value > variance, variance / heavy, value)
-        low = variance / counted * special.gammaincinv(counted**2 / variance, tail)
+        low = (
+            variance / counted * scipy.special.gammaincinv(counted**2 / variance, tail)
+        )
     more, with_more = variance + largest**2, counted + largest
-    high = special.gammaincinv(with_more**2 / more, 1 - tail) * more / with_more
+    high = scipy.special.gammaincinv(with_more**2 / more, 1 - tail) * more / with_more
     low = np.where(std_err == 0, counted, low)
     return low + (value - counted), high + (value - counted)
 
@@ -224,7 +226,9 @@ def student_interval(
 
     It reaches at least `below` and `above` to its sides; NaN where `std_err` is.
     """
-    half = special.stdtrit(np.maximum(n_batches - 1, 1), (1 + level) / 2) * std_err
+    half = (
+        scipy.special.stdtrit(np.maximum(n_batches - 1, 1), (1 + level) / 2) * std_err
+    )
     low, high = (np.maximum(half, np.nan_to_num(least)) for least in (below, above))
     return value - low, value + high
 
@@ -241,8 +245,8 @@ def student_score(t: ArrayLike, dof: ArrayLike) -> Floats:
     Mathematical Statistics 30, 1124), so that scores keep their order.
     """
     dof, size = np.minimum(dof, 1e9), np.abs(t)
-    tail = special.stdtr(dof, -size)
-    score = -special.ndtri(np.maximum(tail, MIN_PROBABILITY))
+    tail = scipy.special.stdtr(dof, -size)
+    score = -scipy.special.ndtri(np.maximum(tail, MIN_PROBABILITY))
     root = np.sqrt(dof * np.log1p(np.square(size) / dof))
     beyond = np.maximum(score, root * (8 * dof + 1) / (8 * dof + 3))
     return 0.0 + np.sign(t) * np.where(tail < MIN_PROBABILITY, beyond, score)
@@ -251,5 +255,5 @@ def student_score(t: ArrayLike, dof: ArrayLike) -> Floats:
 def two_sided_score(below: ArrayLike, above: ArrayLike) -> Floats:
     """Normal score from the probabilities of at most and at least what was seen."""
     p = np.minimum(2 * np.minimum(below, above), 1.0)
-    size = -special.ndtri(np.maximum(p / 2, MIN_PROBABILITY))
+    size = -scipy.special.ndtri(np.maximum(p / 2, MIN_PROBABILITY))
     return np.where(np.less(below, above), -size, size)

@@ -16,7 +16,6 @@ from ..settings.values import UNLIMITED
 from .beam import Beam
 from .curve import Curve
 from .exits import Exits, of_order
-from .media_loop import Geometry, trace_inside
 from .sampling import (
     Relay,
     continues,
@@ -197,6 +196,9 @@ class LaunchedRays:
 
     def relay(self, sampler: mi.Sampler, ray: mi.UInt32, rays: int) -> None:
         """Add to the sums what becomes of all rays, which scatter inside of media."""
+        # slow to import, for Dr.Jit takes its loops apart
+        from .media_loop import Geometry, trace_inside
+
         specimen, beam = self.setup.specimen, self.setup.beam
         path: Any = self.setup.layers
         if transport_of(self.setup) == "traced":

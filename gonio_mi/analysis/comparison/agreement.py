@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy import special
+import scipy  # its parts are imported when used
 
 from ...array_types import Flags, Floats, Integers
 from ...results.record import Record
@@ -201,7 +201,7 @@ def judge(
         "total": max(total, default=np.nan),
     }
     p_values = {
-        "chi2": float(special.chdtrc(dof, chi2 * dof / n)),
+        "chi2": float(scipy.special.chdtrc(dof, chi2 * dof / n)),
         "worst": _p_value_of_largest(worst, n),
         "total": _p_value_of_largest(statistics["total"], len(total)) if total else 1.0,
     }
@@ -337,9 +337,13 @@ def _hits_score(mine: Readings, other: Floats, variance: Floats) -> Floats:
         shape = mean**2 / spread
         p = shape / (shape + mean)
         sure = spread < 1e-6 * mean
-        below = np.where(sure, special.pdtr(k, mean), special.betainc(shape, k + 1, p))
-        poisson = special.pdtrc(np.maximum(k - 1, 0), mean)
-        above = np.where(sure, poisson, special.betaincc(shape, np.maximum(k, 1), p))
+        below = np.where(
+            sure, scipy.special.pdtr(k, mean), scipy.special.betainc(shape, k + 1, p)
+        )
+        poisson = scipy.special.pdtrc(np.maximum(k - 1, 0), mean)
+        above = np.where(
+            sure, poisson, scipy.special.betaincc(shape, np.maximum(k, 1), p)
+        )
     below = np.maximum(below, _fewer_by_chance(mine, other))
     score = two_sided_score(below, np.where(k == 0, 1.0, above))
     # without hits, nothing speaks against a value of 0 or less
@@ -362,7 +366,7 @@ def _fewer_by_chance(mine: Readings, other: Floats) -> Floats:
     light = np.maximum(light, 0.0)
     scale = (squares + missed**2) / (light + missed)
     expected = np.maximum(other, 0) * rays
-    fewer: Floats = special.gammaincc((light + missed) / scale, expected / scale)
+    fewer: Floats = scipy.special.gammaincc((light + missed) / scale, expected / scale)
     return fewer
 
 
@@ -376,8 +380,10 @@ def _two_hits_score(mine: Readings, others: Readings) -> Floats:
     one_more = (b * others.weight + mine.weight) / (b + 1)
     theirs = theirs / np.where(a > 0, one_more, others.weight)
     share = own / (own + theirs)
-    below = np.where(b == 0, 1.0, special.betainc(np.maximum(b, 1), a + 1, 1 - share))
-    above = np.where(a == 0, 1.0, special.betainc(np.maximum(a, 1), b + 1, share))
+    below = np.where(
+        b == 0, 1.0, scipy.special.betainc(np.maximum(b, 1), a + 1, 1 - share)
+    )
+    above = np.where(a == 0, 1.0, scipy.special.betainc(np.maximum(a, 1), b + 1, share))
     return np.where(a + b == 0, 0.0, two_sided_score(below, above))
 
 
@@ -406,4 +412,4 @@ def _trace_of_square(one: PointSet, sigma: Floats) -> float:
 
 def _p_value_of_largest(z: float, n: int) -> float:
     """Probability that the largest of `n` independent normal scores reaches `z`."""
-    return float(-np.expm1(n * np.log1p(-min(2 * special.ndtr(-z), 1 - 1e-16))))
+    return float(-np.expm1(n * np.log1p(-min(2 * scipy.special.ndtr(-z), 1 - 1e-16))))
