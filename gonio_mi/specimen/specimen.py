@@ -425,7 +425,7 @@ class Specimen:
             for shape in self.surfaces
         )
         least = (self.detail + self.reach) * (RETREAT if flat else SURFACE_OFFSET)
-        share = max(self._thin(self._rays(side), least) for side in (1, -1))
+        share = self._thin(least)
         if share >= MAX_THIN:
             apart, where = f"less than {least:.2g} scene units", f"{share:.2g} of rays"
         elif not self.groups and in_one_plane(self.surfaces, least):
@@ -438,19 +438,27 @@ class Specimen:
             "describe both by one BSDF"
         ]
 
-    def _thin(self, ray: mi.Ray3f, least: float) -> float:
+    def _thin(self, least: float) -> float:
         """Fraction of the rays that pass a gap of less than `least`.
 
-        They go straight through all surfaces that transmit. Looking back from `least`
-        behind each surface, a ray sees the same one if there is no gap.
+        The larger one of rays from either side. They go straight through all surfaces
+        that transmit. Looking back from `least` behind each surface, a ray sees the
+        same one if there is no gap.
         """
+        above, below = self._rays(1), self._rays(-1)
+        none = dr.zeros(mi.Float, N_POINTS)  # heights are one number
+        o, d = (
+            [dr.concat([one + none, other + none]) for one, other in zip(*both)]
+            for both in ((above.o, below.o), (above.d, below.d))
+        )
+        ray = mi.Ray3f(mi.Point3f(*o), mi.Vector3f(*d))
         through = {
             _number(mi.ShapePtr(shape))[0]
             for shape in self.surfaces
             if transmits(shape)
         }
-        thin, met = np.zeros((2, N_POINTS), bool)
-        active = np.ones(N_POINTS, bool)
+        thin, met = np.zeros((2, 2 * N_POINTS), bool)
+        active = np.ones(2 * N_POINTS, bool)
         (step,) = in_memory([least])
         for _ in range(MAX_PASSED):
             mask = mi.Bool(active)
@@ -469,7 +477,8 @@ class Specimen:
             active = seen[0] & passed[0]
             if not active.any():
                 break
-        return float(thin.sum() / max(met.sum(), 1))
+        found, all_rays = (one.reshape(2, -1).sum(axis=1) for one in (thin, met))
+        return float(np.max(found / np.maximum(all_rays, 1)))
 
     @cached_property
     def edges(self) -> str | None:
