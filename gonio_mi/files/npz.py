@@ -4,7 +4,9 @@
 `fates` and `direct` hold the batches of all incident directions, `n_batches` of each,
 one after the other on their first axis. `errors`, of integrals only, is `hits` with
 channels, and `elements`, of polarised variants, `sums` with an axis of the elements of
-Mueller matrices before the last, row by row without the first. The rest is the header,
+Mueller matrices before the last, row by row without the first. Of gradients `changes`
+is like that, with a gain and a loss for each of the setting `columns`; `slopes` and
+`slope_errors`, of integrals, have an axis of these columns. The rest is the header,
 `settings` as JSON.
 
 Where a campaign has copied directions by a symmetry of the specimen, their sums are
@@ -61,10 +63,12 @@ TALLIES = {
 }
 INTEGRALS = {"errors": ("float64 uint64", 5)}
 ELEMENTS = {"elements": ("float64", 6)}
+CHANGES = {"changes": ("float64", 6)}
+SLOPES = {"slopes": ("float64", 6), "slope_errors": ("float64", 6)}
 COPIES = {"copies": ("int64", 2)}
 
 # Arrays that are of all batches together.
-WHOLE = ("hits", "errors")
+WHOLE = ("hits", "errors", "slopes", "slope_errors")
 
 
 def write(record: Record, stream: BinaryIO) -> None:
@@ -140,6 +144,8 @@ def read(stream: BinaryIO, added_up: bool = False) -> Record:
         check_format(header)
         expected = TALLIES | (INTEGRALS if "errors.npy" in members else {})
         expected |= ELEMENTS if "elements.npy" in members else {}
+        expected |= CHANGES if "changes.npy" in members else {}
+        expected |= SLOPES if "slopes.npy" in members else {}
         expected |= COPIES if header["version"] == VERSION_OF_COPIES else {}
         known = {f"{name}.npy" for name in HEADER | expected}
         own = members.keys() == known and len(archive.infolist()) == len(known)

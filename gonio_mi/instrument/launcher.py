@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
+import drjit as dr
+
 from ..kernels import check_all_counted
 from ..results.tally import Tally
 from ..specimen.wavelengths import wavelength_lanes
@@ -14,7 +16,7 @@ from ..transport.launch import Launch, launch, traces
 from ..transport.morton import block_bits, chunk_lanes
 from ..transport.sampling import is_joint
 from ..transport.setup import Setup
-from ..transport.sums import n_numbers
+from ..transport.sums import Totals, n_numbers
 from .schedule import Round, Target
 
 # Rays per kernel launch, at most, and points or branches. For samplers other than
@@ -138,7 +140,7 @@ class Launcher:
             for one, nm in zip(planned, passes):
                 total: Any = None
                 for piece in self.pieces(one):
-                    totals = launch(replace(piece, levels=self.levels))
+                    totals = _launched(replace(piece, levels=self.levels))
                     self.levels = totals.sums.levels
                     self.size.learn(piece.rays, totals.started)
                     total = totals if total is None else total + totals
@@ -227,6 +229,19 @@ class Launcher:
                 there = min(at + -(-max(1, n) // chunk) * chunk, length)
                 yield replace(whole, sizes=parts, begin=begin, stretch=(at, there))
                 at = there
+
+
+def _launched(piece: Launch) -> Totals:
+    """Totals of a launch; of the same rays again for each further derivative."""
+    gradients = piece.setup.gradients
+    if gradients is None:
+        return launch(piece)
+    each = []
+    for column, derivative in gradients.derivatives:
+        with gradients.attached(column), dr.suspend_grad():
+            each.append(launch(replace(piece, derivative=derivative)))
+    gradients.unsound += sum(int(one.sums.unsound[0]) for one in each)
+    return each[0].beside(each[1:])
 
 
 def even_part(n: int, most: int) -> int:

@@ -37,9 +37,11 @@ from ..specimen.specimen import Specimen
 from ..specimen.wavelengths import check_covered, passes, wavelength_lanes
 from ..transport.beam import Beam
 from ..transport.collector_sphere import CollectorSphere
+from ..transport.gradients import Gradients
 from ..transport.layers import layers_of
 from ..transport.sampling import check_sampler
 from ..transport.setup import Setup
+from ..variants import check_differentiates, check_unpolarised
 from .incidence import collimated, described_digest, emitter_scene, towards
 from .launcher import Launcher
 from .schedule import Round
@@ -108,6 +110,7 @@ def set_up(
     _check_specimen(specimen, settings)
     defects = _defects(specimen, settings)
     collector = _collector(specimen, settings)
+    gradients = _gradients(specimen, settings)
     described = described_digest(emitter)
     choice = None
 
@@ -137,6 +140,7 @@ def set_up(
             defects=defects,
             choice=choice,
             layers=layers_of(specimen, beam.side),
+            gradients=gradients,
         )
 
     def tried(settings: MeasurementSettings) -> Setup:
@@ -146,6 +150,11 @@ def set_up(
 
     if settings.estimator is Estimator.AUTO:
         settings, choice = chosen(settings, specimen, orders, tried, _short_run)
+    if gradients is not None and not METHODS[settings.estimator].differentiable:
+        raise SpecimenError(
+            "gradients need the estimator weighted, next_event or quadrature, got "
+            f"{settings.estimator}"
+        )
     first = lit(settings, incidents[0])
     if choice is None:
         first.method.check(first)  # they differ in their incident direction only
@@ -214,6 +223,20 @@ def _check_specimen(specimen: Specimen, settings: MeasurementSettings) -> None:
                 f"or analog, got {settings.estimator}"
             )
     _warn_of_finer_patches(specimen, settings)
+
+
+def _gradients(specimen: Specimen, settings: MeasurementSettings) -> Gradients | None:
+    """Parameters by which light is differentiated, once that is known to be right."""
+    if not settings.gradients:
+        return None
+    check_unpolarised("a measurement with gradients")
+    check_differentiates("a measurement with gradients")
+    if specimen.media:
+        raise SpecimenError("gradients need a specimen without media, got one")
+    gradients = Gradients(specimen.scene, settings.gradients)
+    lanes = wavelength_lanes(passes(settings.wavelengths)[0])
+    gradients.check([surface.bsdf() for surface in specimen.surfaces], lanes)
+    return gradients
 
 
 def _defects(specimen: Specimen, settings: MeasurementSettings) -> tuple[str, ...]:

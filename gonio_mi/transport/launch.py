@@ -15,6 +15,7 @@ from ..results.provenance import FACETS
 from ..settings.values import UNLIMITED
 from .beam import Beam
 from .exits import Exits, of_order
+from .gradients import Derivative
 from .media_loop import Geometry, trace_inside
 from .sampling import Relay, apart, continues, in_turns, rays_per_lane, seeded, turns_of
 from .setup import Setup
@@ -50,6 +51,8 @@ class Launch:
         Light that is known without rays, of the setup's method.
     levels : range
         Of rare powers that there is room for: what was met so far.
+    derivative : Derivative, optional
+        By the parameter that is attached.
     """
 
     setup: Setup
@@ -62,6 +65,7 @@ class Launch:
     stretch: tuple[int, int] | None = None
     control: Any = None
     levels: range = range(0)
+    derivative: Derivative | None = None
 
     @property
     def rays(self) -> int:
@@ -158,7 +162,7 @@ class LaunchedRays:
     ) -> None:
         self.setup, self.wavelengths = one.setup, one.wavelengths
         self.sums, self.batch, self.size = sums, batch, size
-        self.control = one.control
+        self.control, self.derivative = one.control, one.derivative
         self.beam = one.setup.beam
         if one.beams:
             several = len(one.sizes) // len(one.beams)
@@ -175,6 +179,7 @@ class LaunchedRays:
         """
         setup, light = self.setup, self.wavelengths
         how, specimen = path_settings(setup), setup.specimen
+        how = replace(how, derivative=self.derivative)
         if max_depth is not None:
             how = replace(how, max_depth=max_depth)
         told: dict[str, Any] = {"wavelengths": light, "settings": how}

@@ -1,0 +1,266 @@
+"""Derivatives of a measurement by parameters of its specimen, with uncertainties."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..array_types import Flags, Floats
+from ..errors import SettingError, checked_choice, checked_number, did_you_mean, shown
+from ..single_precision import ROUNDING
+from . import statistics
+from .estimates import MIN_DEPOSITS, MIN_EVEN_HITS, MIN_HITS, SampledEstimates
+from .tally import DifferentiatedIntegrals, DifferentiatedTally
+
+if TYPE_CHECKING:
+    from .record import Record
+
+QUANTITIES, TOTALS = ("brdf", "btdf", "dhr", "dht"), ("dhr", "dht")
+
+# Weights of rays that were not seen, over the largest mean weight of a patch: slopes
+# grow towards the tails of a lobe.
+UNSEEN = 4.0
+
+Limits = tuple[Floats, Floats]
+
+
+@dataclass(frozen=True, eq=False)
+class SampledGradients:
+    """Derivatives of flux fractions by some numbers of parameters, from rays.
+
+    Hemisphere 0 is the emitter's side. Derivatives of patches have the shape
+    ``(n_theta, n_phi, channels, n)``, those of the total ``(channels, n)``.
+
+    Attributes
+    ----------
+    tally : DifferentiatedTally
+    light : SampledEstimates
+        Of the light itself.
+    numbers : slice
+        Of the parameters' numbers.
+    """
+
+    tally: DifferentiatedTally
+    light: SampledEstimates
+    numbers: slice
+
+    def value(self, hemisphere: int, total: bool) -> Floats:
+        """Derivatives of each patch, or of the `total`."""
+        return statistics.ratio(self._changes(hemisphere, total), self._incident(total))
+
+    def std_err(self, hemisphere: int, total: bool) -> Floats:
+        """Standard errors from the batches; NaN for a patch without a hit."""
+        sums, incident = self._changes(hemisphere, total), self._incident(total)
+        found = statistics.batch_std_err(sums, incident, self.light.unlike_power)
+        if not total:
+            found[self.light.hits[hemisphere] == 0] = np.nan
+        return found
+
+    def interval(self, hemisphere: int, total: bool, level: float) -> Limits:
+        """Limits by Student's t, or of few hits those of gains and losses.
+
+        These are fluxes without a sign, which have limits like light, and the
+        differences of these limit the derivative.
+        """
+        value, std_err = self.value(hemisphere, total), self.std_err(hemisphere, total)
+        hits = self.light.hits[hemisphere]
+        count = np.asarray(hits.sum() if total else hits)[..., None, None]
+        gains = self._parts(hemisphere, total)
+        mean = np.abs(gains).sum(axis=0) / np.maximum(count, 1)
+        incident = self._incident(total).sum(axis=0)
+        unseen = statistics.upper_limit(self.light.rays, level)
+        rays = self.light.rays / incident
+        least = np.maximum(unseen * mean * rays, ROUNDING * np.abs(value))
+        n = np.asarray(self.light.n_batches)[..., None]
+        limits = statistics.student_interval(value, std_err, n, level, least, least)
+        few, (low, high) = self._apart(hemisphere, total, level)
+        few = few | (count < self._enough)
+        return np.where(few, low, limits[0]), np.where(few, high, limits[1])
+
+    @property
+    def _enough(self) -> int:
+        """Hits that Student's t needs."""
+        if self.light.deposited:
+            return MIN_DEPOSITS
+        return MIN_HITS if self.light.independent else MIN_EVEN_HITS
+
+    def _apart(
+        self, hemisphere: int, total: bool, level: float
+    ) -> tuple[Flags, Limits]:
+        """Where heavy gains or losses are rare, and limits of their differences."""
+        parts = self.tally.parts(self._columns)
+        weight = parts.sums[:, hemisphere].sum(axis=0)
+        hits = np.maximum(self.tally.hits[hemisphere], 1)[..., None]
+        # in units of a weight that no ray has, as far as is known
+        unit = UNSEEN * np.max(weight / hits, initial=0.0) / parts.scale or 1.0
+        scaled = replace(parts, sums=parts.sums / unit)
+        light = replace(self.light, tally=scaled)
+        each = (1 + level) / 2
+        rare: Any
+        if total:
+            low, high = light.total_interval(hemisphere, each)
+            rare = np.zeros(low.shape, bool)
+        else:
+            low, high = light.interval(hemisphere, each)
+            rare = light.pooled(hemisphere)
+        shape = *low.shape[:-1], self.tally.channels, -1, 2
+        low, high, rare = (one.reshape(shape) for one in (low, high, rare))
+        limits = low[..., 0] - high[..., 1], high[..., 0] - low[..., 1]
+        return rare.any(axis=-1), (limits[0] * unit, limits[1] * unit)
+
+    @property
+    def _columns(self) -> slice:
+        """Of gains and losses."""
+        return slice(2 * self.numbers.start, 2 * self.numbers.stop)
+
+    def _incident(self, total: bool) -> Floats:
+        """Incident flux per batch, broadcastable to derivatives."""
+        incident = self.tally.incident.astype(float)[..., None]
+        return incident if total else incident[:, None, None]
+
+    def _parts(self, hemisphere: int, total: bool) -> Floats:
+        """What rays gain and lose in all, per batch."""
+        gains, losses = self._both(hemisphere, total)
+        found: Floats = gains + losses
+        return found
+
+    def _changes(self, hemisphere: int, total: bool) -> Floats:
+        """Gains less losses, per batch."""
+        gains, losses = self._both(hemisphere, total)
+        found: Floats = gains - losses
+        return found
+
+    def _both(self, hemisphere: int, total: bool) -> tuple[Floats, Floats]:
+        """Gains and losses, per batch."""
+        columns = self.tally.changes[:, hemisphere, ..., self._columns, :]
+        columns = np.swapaxes(columns, -1, -2)
+        if total:
+            columns = columns.sum(axis=(1, 2))
+        return columns[..., ::2], columns[..., 1::2]
+
+
+@dataclass(frozen=True, eq=False)
+class IntegralGradients:
+    """Derivatives of integrals, which may be wrong by their error.
+
+    Attributes as of :class:`SampledGradients`.
+    """
+
+    tally: DifferentiatedIntegrals
+    numbers: slice
+
+    def value(self, hemisphere: int, total: bool) -> Floats:
+        """Derivatives of each patch, or of the `total`."""
+        return self._of(self.tally.slopes, hemisphere, total)
+
+    def std_err(self, hemisphere: int, total: bool) -> Floats:
+        """What they may be wrong by, added up as if none cancelled."""
+        return self._of(self.tally.slope_errors, hemisphere, total)
+
+    def interval(self, hemisphere: int, total: bool, level: float) -> Limits:  # noqa: ARG002
+        """Limits at any level."""
+        value, error = self.value(hemisphere, total), self.std_err(hemisphere, total)
+        return value - error, value + error
+
+    def _of(self, array: Floats, hemisphere: int, total: bool) -> Floats:
+        found = np.swapaxes(array[hemisphere, ..., self.numbers, :], -1, -2)
+        return found.sum(axis=(0, 1)) if total else found
+
+
+class Differentiated:
+    """What a record tells of derivatives, by the parameters that were asked for."""
+
+    @property
+    def gradients(self: Any) -> tuple[str, ...]:
+        """Names of the parameters by which the measurement was differentiated."""
+        names: tuple[str, ...] = self.asked.gradients
+        return names
+
+    def gradient(self: Any, name: str, of: str = "brdf") -> Floats:
+        """Derivative of a quantity by a parameter.
+
+        Parameters
+        ----------
+        name : str
+            One of `gradients`; with ``[i]`` behind it, of its number `i` alone.
+        of : {"brdf", "btdf", "dhr", "dht"}
+
+        Returns
+        -------
+        ndarray
+            Shaped like the quantity; for several numbers of a parameter with a further
+            axis of these.
+
+        Raises
+        ------
+        ValueError
+            If the measurement was not differentiated by that, for another `of`, or
+            without lower hemisphere.
+        """
+        return _of_each(self, "value", name, of)[0]
+
+    def gradient_std_err(self: Any, name: str, of: str = "brdf") -> Floats:
+        """Standard error of a :meth:`gradient`; NaN for a patch without a hit.
+
+        From the scatter of the batches; for integrals their estimated error.
+        """
+        return _of_each(self, "std_err", name, of)[0]
+
+    def gradient_interval(
+        self: Any, name: str, level: float = 0.95, of: str = "brdf"
+    ) -> Limits:
+        """Interval that covers the derivative with probability `level`.
+
+        By Student's t over the batches. Where hits are few, or heavy ones rare, what
+        rays gain and what they lose have limits as light has them, of which the
+        differences are the interval.
+
+        Returns
+        -------
+        low, high : ndarray
+            Shaped like the :meth:`gradient`.
+        """
+        level = checked_number("level", level, 1e-12, 1, "between 0 and 1")
+        low, high = _of_each(self, "interval", name, of, level)
+        return low, high
+
+
+def _of_each(
+    record: Record, what: str, name: str, of: str, *more: float
+) -> tuple[Floats, ...]:
+    """What the estimates of each incident direction tell: one array, or two."""
+    checked_choice("of", of, QUANTITIES)
+    numbers, alone = _numbers(record, name)
+    hemisphere, total = record._hemisphere(of), of in TOTALS
+    each = []
+    for tally, light in zip(record.tallies, record.estimates):
+        estimates: Any
+        if isinstance(tally, DifferentiatedIntegrals):
+            estimates = IntegralGradients(tally, numbers)
+        else:
+            estimates = SampledGradients(tally, light, numbers)  # type: ignore[arg-type]
+        found = getattr(estimates, what)(hemisphere, total, *more)
+        each.append(found if isinstance(found, tuple) else (found,))
+    solid = 1.0 if total else record.subdivision.projected_solid_angles[..., None, None]
+    arrays = (record._squeeze(np.stack(one) / solid) for one in zip(*each))
+    return tuple(one[..., 0] if alone else one for one in arrays)
+
+
+def _numbers(record: Record, name: str) -> tuple[slice, bool]:
+    """Places of the numbers of a parameter, and whether it is one."""
+    columns = record.provenance.columns
+    kinds = DifferentiatedTally, DifferentiatedIntegrals
+    if not all(isinstance(tally, kinds) for tally in record.tallies):
+        columns = ()
+    found = [
+        i for i, one in enumerate(columns) if one == name or one.startswith(f"{name}[")
+    ]
+    if not found:
+        known = ", ".join(columns) or "none"
+        raise SettingError(
+            f"gradient must be by a parameter that measure was given as gradients, "
+            f"{known}, got {shown(name)}{did_you_mean(str(name), columns)}"
+        )
+    return slice(found[0], found[-1] + 1), columns[found[0]] == name

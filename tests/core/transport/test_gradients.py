@@ -1,0 +1,194 @@
+"""Derivatives by parameters: closed forms, own derivations, differences, refusals."""
+
+import functools
+import itertools
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from budget import agree, disagree, normal_scores, single, verdict
+
+import gonio_mi as gonio
+from gonio_mi.errors import SettingError, SpecimenError
+
+ALPHA = 0.3
+GGX = {"type": "roughconductor", "distribution": "ggx", "alpha": ALPHA}
+GREY = {"type": "diffuse", "reflectance": 0.5}
+RGB = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.2, 0.4, 0.6]}}
+HILLS = {"type": "heightfield", "alpha": 0.8, "resolution": 16}
+SOLID = np.pi / 36  # of a patch
+SETTINGS = {"theta_i": 50, "collector": "projected:6x6"}
+
+
+def ggx(theta_i, theta_o, phi, alpha):
+    """``eval`` of a GGX mirror with separable shadowing, and its d log / d alpha."""
+    wi = np.array([np.sin(theta_i), 0, np.cos(theta_i)])
+    theta_o, phi = np.broadcast_arrays(theta_o, phi)
+    sine = np.sin(theta_o)
+    wo = np.stack([sine * np.cos(phi), sine * np.sin(phi), np.cos(theta_o)], -1)
+    half = wo + wi
+    cosine2 = half[..., 2] ** 2 / np.sum(half**2, axis=-1)
+    tan2 = 1 / cosine2 - 1
+    value = 1 / (np.pi * alpha**2 * cosine2**2 * (1 + tan2 / alpha**2) ** 2)
+    slope = -2 / alpha + 4 * tan2 / alpha**3 / (1 + tan2 / alpha**2)
+    for theta in (theta_i, theta_o):
+        root = np.sqrt(1 + (alpha * np.tan(theta)) ** 2)
+        value = value * 2 / (1 + root)
+        slope = slope - alpha * np.tan(theta) ** 2 / (root * (1 + root))
+    return value / (4 * np.cos(theta_i)), slope
+
+
+@functools.cache
+def expected(alpha=ALPHA):
+    """Patch means of d brdf / d alpha, by an own derivation and Gauss' rule."""
+    edges = gonio.EqualProjectedSolidAngle(6, 6).theta_edges
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    found = np.zeros((6, 6))
+    for i, (low, high) in enumerate(itertools.pairwise(edges)):
+        theta = (low + high + (high - low) * nodes[:, None]) / 2
+        for j in range(6):
+            phi = (j + (1 + nodes) / 2) * np.pi / 3
+            value, slope = ggx(np.radians(50), theta, phi, alpha)
+            area = np.outer(weights, weights) * (high - low) / 4 * np.pi / 3
+            found[i, j] = np.sum(value * slope * np.sin(theta) * area)
+    return found / SOLID
+
+
+def scores(record, name, reference):
+    """Normal scores of the derivative in each patch."""
+    t = (record.gradient(name) - reference) / record.gradient_std_err(name)
+    return normal_scores(t, record.n_batches - 1)
+
+
+# --------------------------------------------------------------------- right numbers
+
+
+def test_own_derivative_of_ggx_patch_by_patch():
+    """Statistics of independent rays; the twin is 2 % off."""
+    record = gonio.measure(
+        GGX, gradients=["alpha.value"], sampler="independent", **SETTINGS
+    )
+    reference = expected()[..., None]
+    agree(verdict(scores(record, "alpha.value", reference)))
+    disagree(verdict(scores(record, "alpha.value", 1.02 * reference)))
+    total = reference.sum() * SOLID
+    error = record.gradient_std_err("alpha.value", "dhr")
+    t = (record.gradient("alpha.value", "dhr") - total) / error
+    agree(single(normal_scores(t, 15)[0]))
+    low, high = record.gradient_interval("alpha.value", 1 - 1e-6)
+    assert np.all((low <= reference) & (reference <= high))
+
+
+def test_quadrature_integrates_the_derivative():
+    """Convergence: within what it says, and roundings of `eval`; the twin is 1e-4."""
+    record = gonio.measure(
+        GGX, gradients=["alpha.value"], estimator="quadrature", **SETTINGS
+    )
+    off = np.abs(record.gradient("alpha.value")[..., 0] - expected())
+    allowed = record.gradient_std_err("alpha.value")[..., 0]
+    allowed = allowed + 2e-6 * np.abs(expected()).max()
+    assert np.all(off <= allowed)
+    assert np.any(np.abs(1.0001 * expected() - expected()) > allowed)
+
+
+def test_light_of_n_events_goes_with_the_nth_power_of_a_reflectance():
+    """Rounding: d f / d r = n f / r ray by ray."""
+    specimen = HILLS | {"bsdf": GREY}
+    name = "bsdf.reflectance.value"
+    settings = SETTINGS | {"rays": 20_000, "period": "box", "gradients": [name]}
+    for order, record in gonio.measure_orders(
+        specimen, orders=(1, 2), **settings
+    ).items():
+        wanted = int(order) * record.brdf / 0.5
+        assert record.brdf.max() > 0
+        np.testing.assert_allclose(record.gradient(name), wanted, rtol=1e-5)
+        total = int(order) * record.dhr / 0.5
+        np.testing.assert_allclose(record.gradient(name, "dhr"), total, rtol=1e-5)
+
+
+@pytest.mark.parametrize("estimator", ["weighted", "next_event"])
+def test_light_itself_keeps_its_bits(estimator):
+    """Exact: sums, hits and ledger, traced and on a plane, and a scene as it was."""
+    flat = {"estimator": "weighted"}
+    for specimen, name, more in (
+        (GGX, "alpha.value", flat),
+        (HILLS | {"bsdf": GGX}, "bsdf.alpha.value", {"period": "box"}),
+    ):
+        settings = SETTINGS | {"rays": 5000, "estimator": estimator} | more
+        plain = gonio.measure(specimen, **settings)
+        record = gonio.measure(specimen, gradients=[name], **settings)
+        for array in plain.tallies[0].arrays:
+            one, other = (getattr(x.tallies[0], array) for x in (plain, record))
+            assert np.array_equal(one, other)
+
+
+def test_numbers_of_a_parameter_are_an_axis():
+    """Rounding: each channel of a colour follows its own number alone."""
+    mi.set_variant("llvm_ad_rgb")
+    record = gonio.measure(
+        RGB,
+        [0, 50],
+        rays=2000,
+        collector="projected:2x2",
+        gradients=["reflectance.value"],
+    )
+    found = record.gradient("reflectance.value")
+    assert found.shape == (2, 2, 2, 3, 3)
+    np.testing.assert_allclose(
+        found, record.brdf[..., None] / [0.2, 0.4, 0.6] * np.eye(3), rtol=1e-5
+    )
+    assert np.array_equal(record.gradient("reflectance.value[1]"), found[..., 1])
+    dhr = record.gradient("reflectance.value", "dhr")
+    np.testing.assert_allclose(dhr, [np.eye(3)] * 2, rtol=1e-5)
+
+
+@pytest.mark.parametrize("ending", ["npz", "exr"])
+@pytest.mark.parametrize("estimator", ["weighted", "quadrature"])
+def test_records_with_gradients_are_saved(tmp_path, estimator, ending):
+    """Exact: what is loaded equals what was measured, and tells the same."""
+    settings = SETTINGS | {"collector": "projected:2x3", "rays": 2000}
+    record = gonio.measure(
+        GGX, gradients=["alpha.value"], estimator=estimator, **settings
+    )
+    record.save(tmp_path / f"r.{ending}")
+    loaded = gonio.load(tmp_path / f"r.{ending}")
+    assert loaded == record
+    told = loaded.gradient_interval("alpha.value")
+    assert np.array_equal(told, record.gradient_interval("alpha.value"))
+
+
+# --------------------------------------------------------------------------- refusals
+
+LIMIT = "is at a limit"
+REFUSED = {
+    "no such name": (GREY, "reflectance.valu", {}, "did you mean reflectance.value?"),
+    "a plane": (GREY, "to_world", {}, "got to_world of Rectangle"),
+    "detached": ({"type": "dielectric"}, "eta", {}, "does not differentiate"),
+    "geometry": (HILLS, "vertex_positions", {}, "got vertex_positions of "),
+    "counted": (GREY, "reflectance.value", {"estimator": "analog"}, "got analog"),
+    "black": (GREY | {"reflectance": 0.0}, "reflectance.value", {}, LIMIT),
+    "eval": (
+        {"type": "roughplastic", "alpha": 0.3, "diffuse_reflectance": 0.5},
+        *("alpha", {}, "derivative of `eval` of RoughPlastic by alpha is wrong"),
+    ),
+    "a lobe that is never drawn": (
+        {"type": "mask", "opacity": 1.0, "bsdf": GREY},
+        *("opacity.value", {}, LIMIT),
+    ),
+    "facets": (
+        HILLS | {"bsdf": {"type": "conductor", "specular_reflectance": 0.8}},
+        "bsdf.specular_reflectance.value",
+        {"estimator": "next_event", "period": "box"},
+        "gradients of mirror facets need the estimator weighted",
+    ),
+}
+
+
+@pytest.mark.parametrize("why", REFUSED)
+def test_what_cannot_be_differentiated_is_told(why):
+    """Exact."""
+    specimen, name, settings, words = REFUSED[why]
+    with pytest.raises((SettingError, SpecimenError), match=None) as error:
+        gonio.measure(specimen, 30, gradients=[name], rays=10, **settings)
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
