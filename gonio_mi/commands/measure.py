@@ -84,6 +84,7 @@ RARE = (
     *("--max-depth", "--max-scatterings", "--rr-depth", "--trace"),
     *("--size-y", "--scale", "--range", "--unit", "--form", "--fill", "--mean-plane"),
     *("--normal", "--size", "--wavelengths", "--workers", "--folder", "--resume"),
+    "--gradients",
 )
 
 # What makes other files of a record, by their endings.

@@ -2,6 +2,7 @@
 
 from ..results.record import Record
 from .figure import ANIMATION_ENDINGS, FIGURE_ENDINGS, check_picture
+from .gradients import plot_gradient
 from .plot import animation, plot, sheet
 from .polarisation import plot_mueller, plot_stokes
 
@@ -14,6 +15,7 @@ __all__ = [
     "animation",
     "check_picture",
     "plot",
+    "plot_gradient",
     "plot_mueller",
     "plot_stokes",
     "sheet",

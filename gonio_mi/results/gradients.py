@@ -227,6 +227,32 @@ class Differentiated:
         return low, high
 
 
+@dataclass(frozen=True)
+class Slope:
+    """Derivative of a total in one channel by one number of a parameter."""
+
+    of: str
+    channel: str
+    by: str
+    value: float | None
+    std_err: float | None
+    low: float | None
+    high: float | None
+
+
+def slopes_of(record: Record, level: float) -> list[Slope]:
+    """Derivatives of the totals of one incident direction, with their intervals."""
+    found = []
+    for of in TOTALS[: record.n_hemispheres]:
+        for by in record.provenance.columns:
+            value, error = record.gradient(by, of), record.gradient_std_err(by, of)
+            low, high = record.gradient_interval(by, level, of)
+            for channel, *numbers in zip(record.channels, value, error, low, high):
+                known = (float(x) if np.isfinite(x) else None for x in numbers)
+                found.append(Slope(of, channel, by, *known))
+    return found
+
+
 def _of_each(
     record: Record, what: str, name: str, of: str, *more: float
 ) -> tuple[Floats, ...]:

@@ -170,15 +170,16 @@ class Gradients:
                 f"{', '.join(found)} end in"
             )
         if not found:
-            ends = sorted(
-                {".".join(key.split(".")[i:]) for key in keys for i in (0, 2)}
-            )
-            known = [key for key in keys if name in key and self._moves(key)]
-            known = known or [key for key in keys if self._moves(key)]
+            ends = [key.partition(".bsdf.")[2] for key in keys]
+            short = [
+                end if ends.count(end) == 1 else key for key, end in zip(keys, ends)
+            ]
+            moved = [one for one, key in zip(short, keys) if self._moves(key)]
+            known = [one for one in moved if str(name) in one] or moved
             raise SettingError(
                 "gradients must name parameters of the specimen as mi.traverse does, "
                 f"such as {abridged(', '.join(known), 200) or 'none of this one'}, got "
-                f"{shown(name)}{did_you_mean(name, ends)}"
+                f"{shown(name)}{did_you_mean(name, short)}"
             )
         return found[0]
 
@@ -187,7 +188,9 @@ class Gradients:
         return self._params.properties[key][2]
 
     def _moves(self, key: str) -> bool:
-        """Whether Mitsuba differentiates a parameter."""
+        """Whether Mitsuba differentiates a parameter of a BSDF."""
+        if not isinstance(self._owner(key), (mi.BSDF, mi.Texture)):
+            return False
         value, fixed = self._params[key], mi.ParamFlags.NonDifferentiable.value
         free = not self._params.flags(key) & fixed
         return bool(free and dr.is_diff_v(value) and dr.is_float_v(value))

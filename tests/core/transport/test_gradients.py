@@ -9,6 +9,7 @@ import pytest
 from budget import agree, disagree, normal_scores, single, verdict
 
 import gonio_mi as gonio
+from gonio_mi.cli import main
 from gonio_mi.errors import SettingError, SpecimenError
 
 ALPHA = 0.3
@@ -155,6 +156,19 @@ def test_records_with_gradients_are_saved(tmp_path, estimator, ending):
     assert loaded == record
     told = loaded.gradient_interval("alpha.value")
     assert np.array_equal(told, record.gradient_interval("alpha.value"))
+
+
+def test_the_command_shows_and_draws_them(tmp_path, capsys):
+    """Exact: the table has the record's numbers; the map is drawn."""
+    word = f"roughconductor:distribution=ggx,alpha={ALPHA}"
+    path, figure = str(tmp_path / "r.npz"), str(tmp_path / "r.png")
+    how = ["--theta-i", "50", "--rays", "2000", "--collector", "projected:6x6"]
+    assert main(["measure", word, *how, "--gradients", "alpha.value", "-o", path]) == 0
+    value = gonio.load(path).gradient("alpha.value", "dhr")[0]
+    assert f"alpha.value  {value:>10.6g}" in capsys.readouterr().out
+    assert main(["plot", path, "--gradient", "alpha.value", "-o", figure]) == 0
+    assert main(["plot", path, "--gradient", "alpha", "-o", figure]) == 1
+    assert "did you mean alpha.value?" not in capsys.readouterr().out
 
 
 # --------------------------------------------------------------------------- refusals
