@@ -128,7 +128,7 @@ def _pass_integrals(
         return arrays
     each = []
     for column, derivative in setup.gradients.derivatives:
-        with setup.gradients.attached(column), dr.suspend_grad():
+        with setup.gradients.attached(column.directions), dr.suspend_grad():
             bsdf = setup.specimen.plane.bsdf
             each.append([one.slopes(bsdf, derivative) for one in found])
     # one direction after the other: of each column a pair

@@ -238,7 +238,7 @@ def _launched(piece: Launch) -> Totals:
         return launch(piece)
     each = []
     for column, derivative in gradients.derivatives:
-        with gradients.attached(column), dr.suspend_grad():
+        with gradients.attached(column.directions), dr.suspend_grad():
             each.append(launch(replace(piece, derivative=derivative)))
     gradients.unsound += sum(int(one.sums.unsound[0]) for one in each)
     return each[0].beside(each[1:])

@@ -37,6 +37,7 @@ from ..specimen.specimen import Specimen
 from ..specimen.wavelengths import check_covered, passes, wavelength_lanes
 from ..transport.beam import Beam
 from ..transport.collector_sphere import CollectorSphere
+from ..transport.derivative import Lobes
 from ..transport.gradients import Gradients
 from ..transport.layers import layers_of
 from ..transport.sampling import check_sampler
@@ -150,11 +151,6 @@ def set_up(
 
     if settings.estimator is Estimator.AUTO:
         settings, choice = chosen(settings, specimen, orders, tried, _short_run)
-    if gradients is not None and not METHODS[settings.estimator].differentiable:
-        raise SpecimenError(
-            "gradients need the estimator weighted, next_event or quadrature, got "
-            f"{settings.estimator}"
-        )
     first = lit(settings, incidents[0])
     if choice is None:
         first.method.check(first)  # they differ in their incident direction only
@@ -229,14 +225,33 @@ def _gradients(specimen: Specimen, settings: MeasurementSettings) -> Gradients |
     """Parameters by which light is differentiated, once that is known to be right."""
     if not settings.gradients:
         return None
+    gradients = Gradients.of_names(specimen.scene, settings.gradients)
+    check_gradients(specimen, gradients, settings)
+    return gradients
+
+
+def check_gradients(
+    specimen: Specimen,
+    gradients: Gradients,
+    settings: MeasurementSettings,
+    known: dict[str, Lobes] | None = None,
+) -> None:
+    """Raise VariantError or SpecimenError unless gradients are known to be right.
+
+    `known` is that of :meth:`.Gradients.check`.
+    """
     check_unpolarised("a measurement with gradients")
     check_differentiates("a measurement with gradients")
     if specimen.media:
         raise SpecimenError("gradients need a specimen without media, got one")
-    gradients = Gradients(specimen.scene, settings.gradients)
+    if not METHODS[settings.estimator].differentiable:
+        raise SpecimenError(
+            "gradients need the estimator weighted, next_event or quadrature, got "
+            f"{settings.estimator}"
+        )
     lanes = wavelength_lanes(passes(settings.wavelengths)[0])
-    gradients.check([surface.bsdf() for surface in specimen.surfaces], lanes)
-    return gradients
+    bsdfs = [surface.bsdf() for surface in specimen.surfaces]
+    gradients.check(bsdfs, lanes, known)
 
 
 def _defects(specimen: Specimen, settings: MeasurementSettings) -> tuple[str, ...]:

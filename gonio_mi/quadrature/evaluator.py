@@ -16,7 +16,7 @@ from ..collector.directions import angles, direction
 from ..errors import SpecimenError
 from ..specimen.plane import repeated
 from ..specimen.scene_objects import holds_foreign_plugins
-from ..transport.gradients import Derivative
+from ..transport.derivative import Derivative
 from ..transport.surface_events import flux_context
 from .cells import (
     BLIND,

@@ -13,7 +13,7 @@ import numpy as np
 from ..array_types import Flags, Floats, Integers, Numbers, Singles
 from ..collector import Subdivision
 from ..errors import SpecimenError
-from ..transport.gradients import Derivative
+from ..transport.derivative import Derivative
 from .cells import NODES_PER_CELL, QUARTERS, Cells, way_to_split
 from .evaluator import (
     INTEGRAL_ROUNDING,

@@ -1,19 +1,11 @@
-"""Derivatives of light by parameters of BSDFs and textures, by likelihood ratios.
-
-Rays go where `sample` sends them. What they carry changes with a parameter as `eval`
-does at the directions that were drawn (Glynn 1990, *Likelihood ratio gradient
-estimation*): each event adds the logarithmic derivative of `eval`, and a ray that
-leaves brings its weight times their sum. The patch that it reaches stays the same, so
-that no edge of a patch is missed. Delta lobes have no `eval`: of these the weight of
-`sample` tells, by a rule that is tried for each parameter.
-"""
+"""Parameters of a specimen's BSDFs and textures that light is differentiated by."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from enum import Enum
+from functools import partial
 from typing import Any
 
 import drjit as dr
@@ -23,115 +15,28 @@ import numpy as np
 from ..array_types import Floats
 from ..errors import SettingError, SpecimenError, abridged, did_you_mean, shown
 from ..specimen.scene_objects import class_of, held_objects, traversed
-from .surface_events import flux_context, is_delta
+from .derivative import Derivative, Lobes
+from .gradient_trials import Trial
 
-# Numbers of parameters, each of which takes its own launch of the rays.
+# Numbers of a parameter, each of which takes its own launch of the rays.
 MAX_NUMBERS = 8
 
-# Derivatives of a value follow the graph of its function, which stays.
-FLAGS = dr.ADFlag.ClearInterior | dr.ADFlag.AllowNoGrad
 
-# Where derivatives are compared with differences: incident directions, random numbers
-# of each, a shift from limits of a parameter, and a step, both relative.
-N_DIRECTIONS, N_EACH = 32, 2**11
-SHIFT, STEP = 2.0**-4, 2.0**-5
-
-# Part by which derivatives may be off the differences; of delta lobes, that random
-# numbers choose; and off one-sided ones. Relative rounding of single precision.
-MAX_OFF, MAX_OFF_OF_LOBES, MAX_OFF_AT_LIMIT = 0.05, 0.15, 0.5
-ROUNDINGS = 2.0**-17
-
-
-class Lobes(Enum):
-    """What follows the light of delta lobes: nothing, weight and pdf, or a weight."""
-
-    STILL = 0
-    WEIGHT_AND_PDF = 1
-    WEIGHT = 2
-
-
-class Derivative:
-    """How light changes, at each event, with the parameter that is attached.
-
-    No dataclass, whose fields Dr.Jit takes for variables of a loop.
-    """
-
-    def __init__(self, lobes: Lobes = Lobes.STILL) -> None:
-        self.lobes = lobes
-
-    def of_event(
-        self,
-        bsdf: mi.BSDFPtr,
-        si: mi.SurfaceInteraction3f,
-        u1: mi.Float,
-        u2: mi.Point2f,
-        sampled: tuple[mi.BSDFSample3f, mi.Spectrum],
-        active: mi.Bool,
-    ) -> mi.Spectrum:
-        """Logarithmic derivative of what goes on in the direction that was `sampled`.
-
-        NaN where there is light and `eval` is 0.
-        """
-        bs, weight = sampled
-        change, value = self.of_eval(bsdf, si, bs.wo, active)
-        change /= value
-        if self.lobes is Lobes.STILL:
-            delta = mi.Spectrum(0)
-        else:
-            delta, light = self.of_lobe(bsdf, si, u1, u2, active)
-            delta /= light
-        change = dr.select(is_delta(bs), delta, change)
-        return dr.select(active & (weight > 0), change, 0)
-
-    def of_eval(
-        self, bsdf: mi.BSDFPtr, si: mi.SurfaceInteraction3f, wo: Any, active: mi.Bool
-    ) -> tuple[mi.Spectrum, mi.Spectrum]:
-        """Derivative of `eval`, and its value."""
-        with dr.resume_grad():
-            return _derived(bsdf.eval(flux_context(), si, wo, active))
-
-    def of_lobe(
-        self,
-        bsdf: mi.BSDFPtr,
-        si: mi.SurfaceInteraction3f,
-        u1: mi.Float,
-        u2: mi.Point2f,
-        active: mi.Bool,
-    ) -> tuple[mi.Spectrum, mi.Spectrum]:
-        """Derivative of what a delta lobe sends, and its value, up to a factor."""
-        with dr.resume_grad():
-            bs, weight = bsdf.sample(flux_context(), si, u1, u2, active)
-            weight = mi.Spectrum(weight)
-            if self.lobes is Lobes.WEIGHT_AND_PDF:
-                weight *= bs.pdf
-            return _derived(weight)
-
-
-def _derived(value: Any) -> tuple[mi.Spectrum, mi.Spectrum]:
-    """Derivative of a value by what is attached, and the value without it."""
-    value = mi.Spectrum(value)
-    change = mi.Spectrum(dr.forward_to(value, flags=FLAGS))
-    return change, mi.Spectrum(dr.detach(value))
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Column:
-    """One number of a parameter: its name for people, key in the scene, and place."""
+    """Direction among the numbers of parameters, by their keys, and its name."""
 
     name: str
-    key: str
-    place: int
+    directions: Mapping[str, Floats]
 
 
 class Gradients:
-    """Parameters of a scene by which light is differentiated, one number at a time.
+    """Parameters of a scene by which light is differentiated, along one column each.
 
     Parameters
     ----------
     scene : mi.Scene
         Its parameters are as they were whenever none is :meth:`attached`.
-    names : sequence of str
-        As `mi.traverse` has them: of the scene, or of its only BSDF.
 
     Attributes
     ----------
@@ -147,17 +52,61 @@ class Gradients:
         If there is no such parameter, or none that can be differentiated.
     """
 
-    def __init__(self, scene: mi.Scene, names: Sequence[str]) -> None:
+    def __init__(self, scene: mi.Scene) -> None:
         self._params = traversed(scene)
         self.unsound = 0
+        self.columns: tuple[Column, ...] = ()
         self.derivatives: list[tuple[Column, Derivative]] = []
-        columns: list[Column] = []
+
+    @classmethod
+    def of_names(cls, scene: mi.Scene, names: Sequence[str]) -> Gradients:
+        """By each number of parameters, named as by `mi.traverse`.
+
+        Of the scene, or of its only BSDF.
+        """
+        found, columns = cls(scene), []
         for name in names:
-            key = self._key(name)
-            n = self._n_numbers(name, key)
-            each = [name] if n == 1 else [f"{name}[{i}]" for i in range(n)]
-            columns += (Column(one, key, i) for i, one in enumerate(each))
-        self.columns = tuple(columns)
+            key = found._key(name)
+            n = found._n_numbers(name, key)
+            if not 1 <= n <= MAX_NUMBERS:
+                raise SettingError(
+                    f"gradients are of parameters of 1 to {MAX_NUMBERS} numbers, got "
+                    f"{name} with {n}: take dr.backward of mi.render(scene, params) "
+                    "with the integrator goniophotometer"
+                )
+            for i, direction in enumerate(np.eye(n)):
+                own = name if n == 1 else f"{name}[{i}]"
+                columns.append(Column(own, {key: direction}))
+        found.columns = tuple(columns)
+        return found
+
+    @classmethod
+    def of_enabled(cls, scene: mi.Scene, tangents: bool = False) -> Gradients:
+        """By all parameters whose gradients are enabled: their one column.
+
+        Along their `tangents`, or about as they are, to be compared with differences.
+
+        Raises
+        ------
+        SpecimenError, SettingError
+            If there is none, or one that cannot be differentiated.
+        """
+        found, directions = cls(scene), {}
+        with dr.resume_grad():
+            for key in found._params.keys():  # noqa: SIM118
+                value = found._params[key]
+                if not (dr.is_diff_v(value) and dr.grad_enabled(value)):
+                    continue
+                found._n_numbers(key, key)
+                own = _flat(dr.grad(value)) if tangents else _sizes(value)
+                directions[key] = own
+        if not directions:
+            raise SpecimenError(
+                "gradients need a parameter of the scene that has them enabled, got "
+                "none"
+            )
+        found.columns = (Column("parameters", directions),)
+        return found
 
     def _key(self, name: str) -> str:
         """Key of a parameter in the scene."""
@@ -196,7 +145,7 @@ class Gradients:
         return bool(free and dr.is_diff_v(value) and dr.is_float_v(value))
 
     def _n_numbers(self, name: str, key: str) -> int:
-        """How many numbers a parameter has, which must be few and differentiable."""
+        """How many numbers a parameter has, which must be differentiable."""
         value, owner = self._params[key], self._owner(key)
         if not isinstance(owner, (mi.BSDF, mi.Texture)):
             raise _no_bsdf(name, owner)
@@ -205,67 +154,72 @@ class Gradients:
                 f"gradients must name differentiable parameters, got {name}, which "
                 f"Mitsuba does not differentiate ({type(value).__name__})"
             )
-        n = int(np.size(np.array(dr.detach(value))))
-        if not 1 <= n <= MAX_NUMBERS:
-            raise SettingError(
-                f"gradients are of parameters of 1 to {MAX_NUMBERS} numbers, got "
-                f"{name} with {n}: take dr.backward of mi.render(scene, params) with "
-                "the integrator goniophotometer"
-            )
-        return n
+        return _flat(value).size
 
     # ------------------------------------------------------------------------ attaching
 
     @contextmanager
     def attached(
-        self, column: Column, shift: float = 0.0, step: float | None = None
-    ) -> Iterator[None]:
-        """Context in which light follows one number of a parameter.
+        self, directions: Mapping[str, Floats], by: float = 0.0, follow: str = "forward"
+    ) -> Iterator[dict[str, Any]]:
+        """Context in which light follows parameters that are moved `by` directions.
 
-        With a `shift` of the number, relative to it; by a `step` it is changed, and not
-        followed.
+        Forward along the directions, or backward; or it follows nothing, for `follow`
+        is empty. It gives the parameters.
         """
-        value = self._params[column.key]
-        own = type(value)(value)
-        numbers = np.array(dr.detach(value), float)
-        direction = np.zeros(numbers.size)
-        direction[column.place] = 1
-        size = float(abs(numbers.ravel()[column.place])) or 1.0
-        sign = -1.0 if numbers.ravel()[column.place] else 1.0
-        moved = dr.detach(own)
-        along = _shaped(own, direction)
-        if shift or step is not None:
-            by = size * (sign * shift + (step or 0.0))
-            moved = type(own)(moved + dr.opaque(mi.Float, by) * along)
-        leaf = type(own)(moved)
+        own, leaves = {}, {}
         try:
             with dr.resume_grad():
-                if step is None:
-                    dr.enable_grad(leaf)
-                    dr.set_grad(leaf, along)
-                self._params[column.key] = leaf
-                try:
-                    self._params.update()
-                except RuntimeError as error:
-                    said = abridged(" ".join(str(error).split()), 200)
-                    raise SpecimenError(
-                        f"Mitsuba cannot change {column.name}: {said}"
-                    ) from error
-                if step is None:
+                for key, direction in directions.items():
+                    value = self._params[key]
+                    own[key] = type(value)(value)
+                    along = _shaped(value, direction)
+                    leaf = type(value)(dr.detach(value))
+                    if by:
+                        leaf = type(value)(leaf + dr.opaque(mi.Float, by) * along)
+                    if follow:
+                        dr.enable_grad(leaf)
+                    if follow == "forward":
+                        dr.set_grad(leaf, along)
+                    self._params[key] = leaves[key] = leaf
+                self._update(", ".join(directions))
+                if follow == "forward":
                     # what functions read follows now; loops cannot look behind it
-                    dr.enqueue(dr.ADMode.Forward, leaf)
+                    dr.enqueue(dr.ADMode.Forward, *leaves.values())
                     dr.traverse(dr.ADMode.Forward, dr.ADFlag.ClearEdges)
-            yield
+            yield leaves
         finally:
             # what could not be changed is as it was
             with dr.resume_grad(), suppress(RuntimeError):
-                self._params[column.key] = own
+                for key, value in own.items():
+                    self._params[key] = value
                 self._params.update()
+
+    def accumulate(self, gradients: Mapping[str, Any]) -> None:
+        """Add to the gradients of the scene's own parameters."""
+        with dr.resume_grad():
+            for key, gradient in gradients.items():
+                dr.accum_grad(self._params[key], gradient)
+
+    def _update(self, name: str) -> None:
+        """Tell the scene of other values; SpecimenError if it does not take them."""
+        try:
+            self._params.update()
+        except RuntimeError as error:
+            said = abridged(" ".join(str(error).split()), 200)
+            raise SpecimenError(f"Mitsuba cannot change {name}: {said}") from error
 
     # ------------------------------------------------------------------------- checking
 
-    def check(self, bsdfs: Sequence[mi.BSDF], wavelengths: Any) -> None:
+    def check(
+        self,
+        bsdfs: Sequence[mi.BSDF],
+        wavelengths: Any,
+        known: dict[str, Lobes] | None = None,
+    ) -> None:
         """Compare derivatives of the BSDFs with differences.
+
+        But for parameters whose rules are `known`, to which those of others are added.
 
         Raises
         ------
@@ -275,23 +229,52 @@ class Gradients:
         """
         parts = [{id(part) for part in held_objects(bsdf)} for bsdf in bsdfs]
         for column in self.columns:
-            owner = self._owner(column.key)
-            holding = [b for b, held in zip(bsdfs, parts) if id(owner) in held]
-            if not holding:
-                raise _no_bsdf(column.name, owner)
-            lobes = Lobes.STILL
-            depends = False
-            for bsdf in {id(one): one for one in holding}.values():
-                trial = _Trial(self, column, bsdf, wavelengths)
-                depends |= trial.depends
-                if trial.lobes is not Lobes.STILL:
-                    lobes = trial.lobes
-            if not depends:
+            own = {} if known is None else known
+            for key, direction in column.directions.items():
+                if key not in own:
+                    asked = column, direction, bsdfs, parts, wavelengths
+                    own[key] = self._tried(key, *asked)
+            rules = {own[key] for key in column.directions}
+            rules = rules - {Lobes.STILL} or rules
+            if len(rules) > 1:
                 raise SpecimenError(
-                    f"no light depends on {column.name}: `eval` and `sample` are the "
-                    "same with another value"
+                    "delta lobes follow some parameters by the weight of `sample` "
+                    "alone, and others not: differentiate by one at a time, got "
+                    f"{', '.join(column.directions)}"
                 )
-            self.derivatives.append((column, Derivative(lobes)))
+            self.derivatives.append((column, Derivative(rules.pop())))
+
+    def _tried(
+        self,
+        key: str,
+        column: Column,
+        direction: Floats,
+        bsdfs: Sequence[mi.BSDF],
+        parts: Iterable[set[int]],
+        wavelengths: Any,
+    ) -> Lobes:
+        """What delta lobes follow with a parameter, once its derivatives are right."""
+        owner, value = self._owner(key), self._params[key]
+        name = column.name if len(column.directions) == 1 else key
+        holding = [b for b, held in zip(bsdfs, parts) if id(owner) in held]
+        if not holding:
+            raise _no_bsdf(name, owner)
+        # towards smaller values, or off 0
+        numbers = _flat(value)
+        steps = np.where(numbers, -np.sign(numbers), 1.0) * np.abs(direction)
+        size = float(np.max(np.abs(numbers[direction != 0]), initial=0.0)) or 1.0
+        lobes, depends = Lobes.STILL, False
+        for bsdf in {id(one): one for one in holding}.values():
+            move = partial(self.attached, {key: steps})
+            trial = Trial(name, size, bsdf, move, wavelengths)
+            depends |= trial.depends
+            lobes = lobes if trial.lobes is Lobes.STILL else trial.lobes
+        if not depends:
+            raise SpecimenError(
+                f"no light depends on {name}: `eval` and `sample` are the same with "
+                "another value"
+            )
+        return lobes
 
 
 def _no_bsdf(name: str, owner: Any) -> SpecimenError:
@@ -301,211 +284,23 @@ def _no_bsdf(name: str, owner: Any) -> SpecimenError:
     )
 
 
-class _Trial:
-    """Derivatives of one BSDF by one number of a parameter, beside differences.
-
-    Attributes
-    ----------
-    depends : bool
-        Whether there is any.
-    lobes : Lobes
-        What the delta lobes follow.
-    """
-
-    def __init__(
-        self, gradients: Gradients, column: Column, bsdf: mi.BSDF, wavelengths: Any
-    ) -> None:
-        self._gradients, self._column, self._bsdf = gradients, column, bsdf
-        self._si, self._u1, self._u2 = _questions(wavelengths)
-        n = N_DIRECTIONS * N_EACH
-        with dr.suspend_grad():
-            bs, _ = self._sample()
-            sampler = mi.load_dict({"type": "independent"})
-            sampler.seed(1, n)
-            other = mi.warp.square_to_uniform_sphere(sampler.next_2d())
-            usual = (dr.arange(mi.UInt32, n) % 2 == 0) & ~is_delta(bs)
-            self._wo = dr.select(usual, bs.wo, other)
-            dr.eval(self._si, self._u1, self._u2, self._wo)
-            size = self._size()
-            self.depends = self._check_eval(size)
-            self.lobes = Lobes.STILL
-            if mi.has_flag(bsdf.flags(), mi.BSDFFlags.Delta) or mi.has_flag(
-                bsdf.flags(), mi.BSDFFlags.Delta1D
-            ):
-                self._check_lobes(size)
-
-    def _sample(self) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
-        context, active = flux_context(), mi.Bool(True)
-        bs, weight = self._bsdf.sample(context, self._si, self._u1, self._u2, active)
-        return bs, mi.Spectrum(weight)
-
-    def _size(self) -> float:
-        """Size of the number, of which shift and step are parts."""
-        value = np.array(dr.detach(self._gradients._params[self._column.key]), float)
-        return float(abs(value.ravel()[self._column.place])) or 1.0
-
-    def _differences(self, function: Any, size: float) -> tuple[Floats, Floats]:
-        """Derivatives of a function's values, and what they may be off."""
-        found = []
-        for step in (STEP, STEP / 2):
-            ends = []
-            for sign in (1, -1):
-                with self._gradients.attached(self._column, SHIFT, sign * step):
-                    ends.append(function())
-            found.append((ends[0] - ends[1]) / (2 * step * size))
-        return (4 * found[1] - found[0]) / 3, np.abs(found[1] - found[0])
-
-    def _values(self) -> Floats:
-        value = self._bsdf.eval(flux_context(), self._si, self._wo, mi.Bool(True))
-        return _numbers(mi.Spectrum(value))
-
-    def _check_eval(self, size: float) -> bool:
-        """Whether `eval` depends on the parameter; SpecimenError if not as it says."""
-        name, kind = self._column.name, class_of(self._bsdf)
-        told = Derivative()
-        asked = self._bsdf, self._si, self._wo, mi.Bool(True)
-        with self._gradients.attached(self._column, SHIFT):
-            change, value = map(_numbers, told.of_eval(*asked))
-        expected, slack = self._differences(self._values, size)
-        lit = value > 0
-        off = np.abs(change - expected)[lit] / value[lit]
-        allowed = 3 * slack[lit] / value[lit] + ROUNDINGS / (STEP * size)
-        expected = np.abs(expected[lit]) / value[lit]
-        wrong = ~(off <= allowed + MAX_OFF * expected)
-        if not np.sum(off[wrong]) <= MAX_OFF * np.sum(expected):
-            raise SpecimenError(
-                f"the derivative of `eval` of {kind} by {name} is wrong: differences "
-                f"give {np.mean(expected):.3g} of the value on average, and Dr.Jit is "
-                f"off by {np.mean(off):.3g}"
-            )
-        self._check_off_limit(told, asked)
-        return bool(np.any(expected > allowed))
-
-    def _check_off_limit(self, told: Derivative, asked: tuple[Any, ...]) -> None:
-        """Raise SpecimenError where `eval` changes otherwise than its derivative."""
-        with self._gradients.attached(self._column):
-            change, value = map(_numbers, told.of_eval(*asked))
-        with self._gradients.attached(self._column, SHIFT, 0.0):
-            step = self._values() - value
-        off = np.abs(change - step / self._shift())
-        beyond = np.sum(np.abs(step[value == 0])) > MAX_OFF * np.sum(np.abs(step))
-        # where it is nearly linear
-        lit = (value > 0) & (np.abs(step) < value / 2)
-        off, step = off[lit] / value[lit], np.abs(step[lit]) / value[lit]
-        allowed = MAX_OFF_AT_LIMIT * step + 2 * ROUNDINGS
-        wrong = off * abs(self._shift()) > allowed
-        if beyond or np.sum(wrong) > MAX_OFF_AT_LIMIT * wrong.size:
-            self._raise_at_limit("eval")
-
-    def _flux(self) -> Floats:
-        """What delta lobes send up and down, on average for each direction."""
-        bs, weight = self._sample()
-        return _by_direction(bs, weight)
-
-    def _check_lobes(self, size: float) -> None:
-        """Find what follows delta lobes; SpecimenError if nothing does."""
-        name, kind = self._column.name, class_of(self._bsdf)
-        expected, _ = self._differences(self._flux, size)
-        # random numbers choose lobes in steps
-        with self._gradients.attached(self._column, SHIFT, 0.0):
-            bs, weight = self._sample()
-            shifted = _by_direction(bs, weight)
-            largest = _by_direction(bs, weight, np.max)
-        least = np.linalg.norm(largest) / (N_EACH * STEP * size)
-        one_sided = (shifted - self._flux()) / self._shift()
-        where = []
-        for step in (STEP, -STEP):
-            with self._gradients.attached(self._column, SHIFT, step):
-                bs, weight = self._sample()
-                lit = is_delta(bs) & dr.any(weight > 0)
-                where.append((bs.wo.numpy(), lit.numpy(), bs.sampled_type.numpy()))
-        (one, lit, kinds), (other, also, others) = where
-        same = lit & also & (kinds == others)
-        if np.any(np.abs(one - other)[..., same] > ROUNDINGS):
-            raise SpecimenError(
-                f"the direction of a delta lobe of {kind} moves with {name}, and no "
-                "derivative of a patch follows it"
-            )
-        norm = np.linalg.norm(expected)
-        for rule in Lobes:
-            found, at_own = (self._found(rule, shift) for shift in (SHIFT, 0.0))
-            if np.linalg.norm(found - expected) <= MAX_OFF_OF_LOBES * norm + least:
-                off = np.linalg.norm(at_own - one_sided)
-                if off > MAX_OFF_AT_LIMIT * np.linalg.norm(one_sided) + least:
-                    self._raise_at_limit("sample")
-                self.depends |= bool(norm > least)
-                self.lobes = rule
-                return
-        raise SpecimenError(
-            f"the derivative of the delta lobes of {kind} by {name} is wrong: "
-            "differences disagree with the weight of `sample`, with and without `pdf`"
-        )
-
-    def _found(self, rule: Lobes, shift: float) -> Floats:
-        """Derivatives of what delta lobes send, by a rule."""
-        if rule is Lobes.STILL:
-            return np.zeros_like(self._flux())
-        asked = self._bsdf, self._si, self._u1, self._u2, mi.Bool(True)
-        with self._gradients.attached(self._column, shift):
-            change, light = Derivative(rule).of_lobe(*asked)
-            bs, weight = self._sample()
-            change = dr.select(light > 0, change / light * weight, 0)
-            return _by_direction(bs, change)
-
-    def _shift(self) -> float:
-        """By how much a shift changes the number."""
-        value = np.array(dr.detach(self._gradients._params[self._column.key]), float)
-        own = float(value.ravel()[self._column.place])
-        return -SHIFT * abs(own) if own else SHIFT
-
-    def _raise_at_limit(self, function: str) -> None:
-        raise SpecimenError(
-            f"{self._column.name} is at a limit: rays do not go where a change of it "
-            f"would send light, or `{function}` of {class_of(self._bsdf)} has no "
-            "derivative there; take a value a little off"
-        )
+def _flat(value: Any) -> Floats:
+    """All numbers of a parameter, in the order of their memory."""
+    value = dr.detach(value)
+    flat = value.array if dr.is_tensor_v(value) else dr.ravel(value)
+    return np.array(flat, dtype=float)
 
 
-def _questions(wavelengths: Any) -> tuple[Any, Any, Any]:
-    """Interactions at random places of a square, and numbers to sample there."""
-    n = N_DIRECTIONS * N_EACH
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(0, N_DIRECTIONS)
-    wi = mi.warp.square_to_cosine_hemisphere(sampler.next_2d())
-    uv, below = sampler.next_2d(), sampler.next_1d() < 0.5
-    wi.z = dr.select(below, -wi.z, wi.z)
-    lane = dr.arange(mi.UInt32, n)
-    si = dr.zeros(mi.SurfaceInteraction3f, n)
-    si.wi = dr.gather(mi.Vector3f, wi, lane // N_EACH)
-    si.uv = dr.gather(mi.Point2f, uv, lane // N_EACH)
-    si.t, si.n = mi.Float(1), mi.Normal3f(0, 0, 1)
-    si.sh_frame = mi.Frame3f(si.n)
-    si.dp_du, si.dp_dv = mi.Vector3f(2, 0, 0), mi.Vector3f(0, 2, 0)
-    si.wavelengths = wavelengths
-    sampler.seed(2, n)
-    u1 = (mi.Float(lane % N_EACH) + 0.5) * (1 / N_EACH)
-    return si, u1, sampler.next_2d()
-
-
-def _by_direction(
-    bs: mi.BSDFSample3f, light: mi.Spectrum, of: Callable[..., Floats] = np.mean
-) -> Floats:
-    """Means of the light of delta lobes up and down, for each incident direction."""
-    delta, up = is_delta(bs).numpy(), bs.wo.z.numpy() > 0
-    values = _numbers(light)
-    sides = [np.where(delta & side, values, 0) for side in (up, ~up)]
-    return of(np.stack(sides).reshape(-1, N_DIRECTIONS, N_EACH), axis=-1)
-
-
-def _numbers(value: mi.Spectrum) -> Floats:
-    """Values of all channels, shape ``(channels, n)``."""
-    n = N_DIRECTIONS * N_EACH
-    return np.stack([np.broadcast_to(one.numpy(), n).astype(float) for one in value])
+def _sizes(value: Any) -> Floats:
+    """Sizes of numbers over the largest; 1 for those that are 0."""
+    sizes = np.abs(_flat(value))
+    largest = sizes.max(initial=0.0) or 1.0
+    return np.where(sizes, sizes / largest, 1.0)
 
 
 def _shaped(like: Any, numbers: Floats) -> Any:
     """Numbers as an array of Dr.Jit of the type and shape of another."""
-    flat = mi.Float(numbers.astype(np.float32).tolist())
+    flat = mi.Float(np.asarray(numbers, np.float32).tolist())
     if dr.is_tensor_v(like):
         return type(like)(flat, like.shape)
     if dr.depth_v(like) > 1:

@@ -3,6 +3,7 @@
 import functools
 import itertools
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -169,6 +170,121 @@ def test_the_command_shows_and_draws_them(tmp_path, capsys):
     assert main(["plot", path, "--gradient", "alpha.value", "-o", figure]) == 0
     assert main(["plot", path, "--gradient", "alpha", "-o", figure]) == 1
     assert "did you mean alpha.value?" not in capsys.readouterr().out
+
+
+# ------------------------------------------------------------------ mi.render in a loss
+
+
+def scene_of(shape, **integrator):
+    """Scene that is a complete measurement."""
+    film = {"type": "patches", "subdivision": "projected:3x4", "hemispheres": "upper"}
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "goniophotometer", "rays": 4000} | integrator,
+            "sensor": {"type": "collector", "film": film},
+            "emitter": {"type": "directional", "direction": [0.5, 0, -0.866]},
+            "shape": shape,
+        }
+    )
+
+
+def texels(seed, channels=1):
+    return np.random.default_rng(seed).uniform(0.3, 0.9, (4, 4, channels))
+
+
+def along(scene, name, tangent, weights):
+    """Change of a weighted sum of the map along a tangent: forward and backward."""
+    params = mi.traverse(scene)
+    kind, found = type(params[name]), []
+    value = kind(params[name])
+    for forward in (True, False):
+        own = kind(value)
+        dr.enable_grad(own)
+        params[name] = own
+        params.update()
+        pixels = mi.render(scene, params, seed_grad=5)
+        assert dr.grad_enabled(pixels)
+        if forward:
+            dr.set_grad(own, tangent)
+            dr.forward_from(own)
+            found.append(np.sum(np.array(dr.grad(pixels)) * weights))
+        else:
+            dr.backward(dr.sum(pixels * mi.TensorXf(weights), axis=None))
+            found.append(np.sum(np.array(dr.grad(own)) * np.array(tangent)))
+    params[name] = value
+    params.update()
+    return found
+
+
+TEXTURE = {"type": "bitmap", "raw": True, "filter_type": "nearest"}
+LOSSES = {
+    "plane": ({"type": "rectangle", "bsdf": GGX}, "alpha.value", {}),
+    "hills": (HILLS | {"bsdf": GGX}, "alpha.value", {"period": "box"}),
+    "texels": (HILLS | {"bsdf": GREY}, "reflectance.data", {"period": "box"}),
+    "lobes": (
+        HILLS | {"bsdf": {"type": "plastic", "diffuse_reflectance": 0.5}},
+        *("diffuse_reflectance.value", {"period": "box"}),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LOSSES)
+def test_forward_and_backward_tell_the_same(name):
+    """Rounding: both are sums over the same rays, by different ways."""
+    shape, end, settings = LOSSES[name]
+    if name == "texels":
+        data = {"data": mi.TensorXf(texels(1).astype(np.float32))}
+        shape = shape | {"bsdf": {"type": "diffuse", "reflectance": TEXTURE | data}}
+    scene = scene_of(shape, **settings)
+    params = mi.traverse(scene)
+    key = next(key for key in params.keys() if key.endswith(end))  # noqa: SIM118
+    kind = type(params[key])
+    tangent = kind(mi.TensorXf(texels(2) - 0.5)) if name == "texels" else kind(1.0)
+    weights = np.random.default_rng(3).normal(size=(3, 4, 1)) + 0.5
+    forward, backward = along(scene, key, tangent, weights)
+    assert forward != 0
+    np.testing.assert_allclose(backward, forward, rtol=1e-4)
+
+
+def test_grey_map_has_all_channels_of_a_colour():
+    """Rounding: of a diffuse plate the map goes with the reflectance."""
+    mi.set_variant("llvm_ad_rgb")
+    grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.5}}
+    scene = scene_of({"type": "rectangle", "bsdf": grey})
+    name = next(k for k in mi.traverse(scene).keys() if "reflectance" in k)  # noqa: SIM118
+    tangent = mi.Color3f(1, 2, 4)
+    forward, backward = along(scene, name, tangent, np.ones((3, 4, 3)))
+    np.testing.assert_allclose([forward, backward], 7 * 12 / np.pi, rtol=1e-3)
+
+
+def test_wavelengths_of_several_passes():
+    """Rounding: each is a channel of the loss, in the pass that carries it."""
+    mi.set_variant("llvm_ad_spectral")
+    metal = GGX | {"material": "Au"}
+    nm = "450,500,550,600,650"
+    scene = scene_of({"type": "rectangle", "bsdf": metal}, wavelengths=nm)
+    weights = np.random.default_rng(3).normal(size=(3, 4, 5)) + 0.5
+    name = "shape.bsdf.alpha.value"
+    forward, backward = along(scene, name, mi.Float(1), weights)
+    np.testing.assert_allclose(backward, forward, rtol=1e-4)
+
+
+def test_what_cannot_go_backward_is_told():
+    """Exact: heights, and estimators that deposit, by `mi.render` too."""
+    for end, settings, words in (
+        ("vertex_positions", {}, "vertex_positions of "),
+        ("alpha.value", {"estimator": "next_event"}, "got next_event"),
+    ):
+        scene = scene_of(HILLS | {"bsdf": GGX}, period="box", **settings)
+        params = mi.traverse(scene)
+        key = next(key for key in params.keys() if key.endswith(end))  # noqa: SIM118
+        dr.enable_grad(params[key])
+        params.update()
+        loss = dr.sum(mi.render(scene, params, spp=100), axis=None)
+        with pytest.raises(Exception, match=r"gradients|dr\.backward") as error:
+            dr.backward(loss)
+        assert words in str(error.value) + str(error.value.__cause__)
 
 
 # --------------------------------------------------------------------------- refusals
