@@ -27,7 +27,7 @@ from .launcher import Launcher
 from .measure import send_all
 from .recording import records_of
 from .schedule import Round
-from .setup import check_gradients, set_up
+from .setup import check_differentiable, set_up, try_gradients
 
 
 def forward(
@@ -130,7 +130,8 @@ def _set_up(
 ) -> list[Setup]:
     """Set-up with gradients that are known to be right."""
     setups = set_up(scene, settings)
-    check_gradients(setups[0].specimen, gradients, settings, rules)
+    check_differentiable(setups[0].specimen, settings)
+    try_gradients(gradients, setups[0].specimen, settings, rules)
     setups = [replace(one, gradients=gradients) for one in setups]
     for one in setups:
         one.method.check(one)

@@ -225,21 +225,14 @@ def _gradients(specimen: Specimen, settings: MeasurementSettings) -> Gradients |
     """Parameters by which light is differentiated, once that is known to be right."""
     if not settings.gradients:
         return None
+    check_differentiable(specimen, settings)
     gradients = Gradients.of_names(specimen.scene, settings.gradients)
-    check_gradients(specimen, gradients, settings)
+    try_gradients(gradients, specimen, settings)
     return gradients
 
 
-def check_gradients(
-    specimen: Specimen,
-    gradients: Gradients,
-    settings: MeasurementSettings,
-    known: dict[str, Lobes] | None = None,
-) -> None:
-    """Raise VariantError or SpecimenError unless gradients are known to be right.
-
-    `known` is that of :meth:`.Gradients.check`.
-    """
+def check_differentiable(specimen: Specimen, settings: MeasurementSettings) -> None:
+    """Raise VariantError or SpecimenError where no gradient can be measured."""
     check_unpolarised("a measurement with gradients")
     check_differentiates("a measurement with gradients")
     if specimen.media:
@@ -249,6 +242,15 @@ def check_gradients(
             "gradients need the estimator weighted, next_event or quadrature, got "
             f"{settings.estimator}"
         )
+
+
+def try_gradients(
+    gradients: Gradients,
+    specimen: Specimen,
+    settings: MeasurementSettings,
+    known: dict[str, Lobes] | None = None,
+) -> None:
+    """Compare gradients with differences, as :meth:`.Gradients.check` does."""
     lanes = wavelength_lanes(passes(settings.wavelengths)[0])
     bsdfs = [surface.bsdf() for surface in specimen.surfaces]
     gradients.check(bsdfs, lanes, known)
