@@ -15,7 +15,12 @@ from ..array_types import Floats
 from ..collector.receptors import holds
 from ..errors import SpecimenError
 from ..quadrature.integrate import integrate_each
-from ..results.tally import WEIGHT_SCALE, Integrals, Tally
+from ..results.tally import (
+    WEIGHT_SCALE,
+    DifferentiatedIntegrals,
+    Integrals,
+    Tally,
+)
 from ..settings.values import ALL_ORDERS
 from ..specimen.wavelengths import wavelength_lanes
 from ..transport.method import Method
@@ -77,7 +82,7 @@ class Quadrature(Method):
     ) -> Sequence[tuple[Floats, ...]]:
         """Flux fractions of each setup, and their errors; they share kernels.
 
-        Of gradients their derivatives as well, and the errors of these.
+        Of gradients their derivatives as well.
         """
         groups = [_pass_integrals(setups, nm) for nm in setups[0].passes]
         joined = (zip(*parts) for parts in zip(*groups))
@@ -87,14 +92,18 @@ class Quadrature(Method):
         self, setup: Setup, tallies: Sequence[Tally], known: tuple[Floats, ...]
     ) -> Integrals:
         """Integrals beside the tally of the delta components."""
-        flux, errors, *slopes = known
+        flux, errors, *changes = known
         if tallies:
             beside = Tally.join(tallies).spread(flux.shape[-1])
         else:
             shape = setup.collector.subdivision.shape
             beside = Tally.empty(setup.shape[0], shape, flux.shape[-1], WEIGHT_SCALE)
         found = Integrals.beside(beside, flux, errors)
-        return found.differentiated(*slopes) if slopes else found
+        if not changes:
+            return found
+        arrays = {name: getattr(found, name) for name in found.arrays}
+        arrays |= {"changes": changes[0][None], "scale": found.scale}
+        return DifferentiatedIntegrals(**arrays)
 
 
 def _has_delta(bsdf: mi.BSDF) -> bool:
@@ -106,8 +115,8 @@ def _pass_integrals(
 ) -> list[tuple[Floats, ...]]:
     """Flux fractions of some wavelengths, and their errors, at each setup.
 
-    Arrays of shape ``(n_hemispheres, n_theta, n_phi, channels)``; derivatives and their
-    errors have an axis more before the last.
+    Arrays of shape ``(n_hemispheres, n_theta, n_phi, channels)``; derivatives with
+    their errors have an axis more before the last.
     """
     setup = setups[0]
     si = mi.SurfaceInteraction3f(setup.specimen.plane.interaction)
@@ -126,12 +135,11 @@ def _pass_integrals(
     arrays = [(one.flux[kept], one.error[kept]) for one in found]
     if setup.gradients is None:
         return arrays
-    each = []
+    each: list[list[Floats]] = [[] for _ in found]
+    bsdf = setup.specimen.plane.bsdf
     for column, derivative in setup.gradients.derivatives:
         with setup.gradients.attached(column.directions), dr.suspend_grad():
-            bsdf = setup.specimen.plane.bsdf
-            each.append([one.slopes(bsdf, derivative) for one in found])
-    # one direction after the other: of each column a pair
-    pairs = (zip(*columns) for columns in zip(*each))
-    slopes = ([np.stack(x, axis=-2)[kept] for x in pair] for pair in pairs)
-    return [(*own, *more) for own, more in zip(arrays, slopes)]
+            for own, one in zip(each, found):
+                own += one.slopes(bsdf, derivative)
+    changes = (np.stack(own, axis=-2)[kept] for own in each)
+    return [(*own, more) for own, more in zip(arrays, changes)]

@@ -18,9 +18,9 @@ The parts of one incident direction, in a stack with its number after a dot:
     Of integrals only: what they may be wrong by, in the same unit.
 ``elements``
     Of polarised variants only: sums of the elements but the first, in the same unit.
-``changes``, ``slopes``
-    Of gradients only, for each of the setting ``columns``: what rays gain and lose with
-    it, as the tally; of integrals the derivatives of flux fractions, and their errors.
+``changes``
+    Of gradients only: a gain and a loss with each of the setting ``columns``, in the
+    same unit; of integrals the derivative of the flux fraction, and its error.
 
 Whole numbers beyond 32 bits have their upper half in ``count_high`` and ``sum_high``.
 The first header holds the rest as JSON, ``gonio.record``, and a check sum of the
@@ -38,14 +38,7 @@ import OpenEXR
 
 from ..array_types import Counts, Floats, Numbers
 from ..results.record import Record
-from ..results.tally import (
-    ELEMENT_NAMES,
-    N_ELEMENTS,
-    DifferentiatedIntegrals,
-    DifferentiatedTally,
-    Integrals,
-    PolarisedTally,
-)
+from ..results.tally import ELEMENT_NAMES, Integrals, PolarisedTally
 from .checks import check_seal, require, seal_of
 from .exr_part_reader import image_of, parts_of
 from .header import (
@@ -61,13 +54,7 @@ from .header import (
 MAGIC = b"\x76\x2f\x31\x01"
 
 # Parts of a direction that are read: what is exact.
-SUMMED = ("brdf", "btdf", "tally", "integral", "elements", "changes", "slopes")
-
-# Arrays in a check sum, in this order.
-CHECKED = ("hits", "sums", "errors", "elements", "changes", "slopes", "slope_errors")
-
-# Names of layers of gradients, by the number of the column.
-CHANGES, SLOPES = ("gain%d", "loss%d"), ("slope%d", "error%d")
+SUMMED = ("brdf", "btdf", "tally", "integral", "elements", "changes")
 
 # Width and height of the picture of a hemisphere, in pixels.
 VIEW_SIZE = 512
@@ -88,9 +75,8 @@ MEANINGS = {
     "hemisphere and ring, one column per sector: whole numbers if scale is 1, else "
     + _HALVES,
     "elements": "elements of Mueller matrices but the first, as the tally: " + _HALVES,
-    "changes": "gains and losses with each of the columns, as the tally: " + _HALVES,
-    "slopes": "derivatives of flux fractions by each of the columns, and what they may "
-    "be wrong by, one row per hemisphere and ring: " + _HALVES,
+    "changes": "gains and losses with each of the columns, as the tally, or of "
+    "integrals derivatives of flux fractions and their errors: " + _HALVES,
     "integral": "what the integrals may be wrong by in units of 1/scale of a ray, one "
     "row per hemisphere and ring: " + _HALVES,
 }
@@ -169,7 +155,6 @@ def read(stream: BinaryIO, added_up: bool = False) -> Record:
         # without the number in a stack
         parts = {part.name().partition(".")[0]: part.channels for part in image.parts}
         arrays = _sums(parts, names, shape, len(fates[index]), kind)
-        arrays |= _derivatives(parts, names, shape, len(fates[index]))
         _include(digest, arrays)
         return arrays | {key: rows[index] for key, rows in per_batch.items()}
 
@@ -187,7 +172,7 @@ def _part_name(name: str, index: int, n: int) -> str:
 
 def _include(digest: Any, arrays: Mapping[str, Numbers]) -> None:
     """Add a tally's exact pixel values to a check sum."""
-    for name in CHECKED:
+    for name in ("hits", "sums", "errors", "elements", "changes"):
         if name in arrays:
             digest.update(np.ascontiguousarray(bits(arrays[name]), dtype="<u8").data)
 
@@ -227,14 +212,9 @@ def pixels(single: Record) -> dict[str, dict[str, Numbers]]:
         for number, element in enumerate(ELEMENT_NAMES):
             exact["elements", element] = tally.elements[..., number, :]
         parts |= _matrices(single, names)
-    if isinstance(tally, DifferentiatedTally):
+    if hasattr(tally, "changes"):
         for number, column in enumerate(np.moveaxis(tally.changes, -2, 0)):
-            exact["changes", CHANGES[number % 2] % (number // 2)] = column
-    if isinstance(tally, DifferentiatedIntegrals):
-        for number, column in enumerate(np.moveaxis(tally.slopes, -2, 0)):
-            exact["slopes", SLOPES[0] % number] = column
-            errors = tally.slope_errors[..., number, :]
-            exact["slopes", SLOPES[1] % number] = errors
+            exact["changes", f"{number:02d}"] = column
     for (part, layer), array in exact.items():
         rows = bits(array).reshape(-1, single.subdivision.shape[1], len(names))
         layers = parts.setdefault(part, {})
@@ -379,46 +359,16 @@ def _sums(
     if "integral" in parts:
         errors = channels("integral", "error", len(hits) * shape[0])
         arrays["errors"] = errors.reshape(len(hits), *shape, -1)
-    if "elements" in parts:
-        rows = n_batches * len(hits) * shape[0]
-        each = [channels("elements", element, rows) for element in ELEMENT_NAMES]
-        elements = np.stack(each, axis=-2).view(float)
-        of_each = n_batches, len(hits), *shape, N_ELEMENTS, len(names)
-        arrays["elements"] = elements.reshape(of_each)
-    return arrays
-
-
-def _derivatives(
-    parts: Mapping[str, Mapping[str, Any]],
-    names: Sequence[str],
-    shape: tuple[int, int],
-    n_batches: int,
-) -> dict[str, Numbers]:
-    """Arrays of gradients of one direction, if there are some."""
-    hemispheres = ("brdf", "btdf") if "btdf" in parts else ("brdf",)
-    of_each = len(hemispheres), *shape, len(names)
-
-    def columns(part: str, layers: Sequence[str], of_all: tuple[int, ...]) -> Numbers:
-        """Those of several layers in turn, before the channels."""
-        own, found, number = parts[part], [], 0
-        size = int(np.prod(of_all[:-2])), shape[1]
-        while f"{layers[0] % number}.{names[0]}" in own:
-            for layer in layers:
-                channels = [
-                    _joined(own, f"{layer % number}.{name}", part, size)
-                    for name in names
-                ]
-                found.append(np.stack(channels, axis=-1).view(float).reshape(of_all))
-            number += 1
-        require(bool(found), f"its part {part} is damaged")
-        return np.stack(found, axis=-2)
-
-    arrays = {}
-    if "changes" in parts:
-        arrays["changes"] = columns("changes", CHANGES, (n_batches, *of_each))
-    if "slopes" in parts:
-        for name, layer in zip(("slopes", "slope_errors"), SLOPES):
-            arrays[name] = columns("slopes", [layer], of_each)
+    numbered = [f"{i:02d}" for i in range(len(parts.get("changes", ())))]
+    own = [one for one in numbered if f"{one}.{names[0]}" in parts["changes"]]
+    for part, columns in (("elements", ELEMENT_NAMES), ("changes", own)):
+        if part in parts:
+            require(bool(columns), f"its part {part} is damaged")
+            rows = n_batches * len(hits) * shape[0]
+            each = [channels(part, column, rows) for column in columns]
+            several = np.stack(each, axis=-2).view(float)
+            of_each = n_batches, len(hits), *shape, len(columns), len(names)
+            arrays[part] = several.reshape(of_each)
     return arrays
 
 

@@ -40,9 +40,6 @@ VERSION_OF_GRADIENTS = 6
 
 VERSIONS = (VERSION, VERSION_OF_COPIES, VERSION_OF_GRADIENTS)
 
-# Arrays of every tally that are floats, whatever its other sums are.
-DOUBLES = ("elements", "changes", "slopes", "slope_errors")
-
 # Deflate expands by at most 1032 (zlib's technical details). A file that announces more
 # than this many times its own size does not hold what it says.
 MAX_EXPANSION = 1100
@@ -144,7 +141,7 @@ def rebuilt(
     # rays take off sums what facets are said to send
     signed = {
         "elements",
-        "slopes",
+        "changes",
         *(["sums"] if provenance.transport == FACETS else []),
     }
     kept = []
@@ -181,14 +178,12 @@ def parsed_subdivision(header: dict[str, Any]) -> Subdivision:
 
 def _tally(arrays: dict[str, Numbers], scale: int) -> Tally:
     """Sums of the kind that the arrays are of."""
-    kinds = {
-        "elements": PolarisedTally,
-        "changes": DifferentiatedTally,
-        "slopes": DifferentiatedIntegrals,
-        "errors": Integrals,
-    }
-    kind = next((kind for name, kind in kinds.items() if name in arrays), Tally)
-    return kind(**arrays, scale=scale)
+    if "elements" in arrays:
+        return PolarisedTally(**arrays, scale=scale)
+    kinds = (Integrals, DifferentiatedIntegrals), (Tally, DifferentiatedTally)
+    kind: Any = kinds["errors" not in arrays]["changes" in arrays]
+    found: Tally = kind(**arrays, scale=scale)
+    return found
 
 
 def shapes_of_tally(
@@ -196,7 +191,7 @@ def shapes_of_tally(
     n_hemispheres: int | None,
     patches: tuple[int, int],
     n_channels: int,
-    n_numbers: int | None = None,
+    n_changes: int | None = None,
 ) -> dict[str, tuple[int | None, ...]]:
     """Shapes of all possible arrays of a tally; None where unknown."""
     return {
@@ -207,12 +202,7 @@ def shapes_of_tally(
         "direct": (n_batches, n_channels),
         "errors": (n_hemispheres, *patches, n_channels),
         "elements": (n_batches, n_hemispheres, *patches, N_ELEMENTS, n_channels),
-        "changes": (
-            *(n_batches, n_hemispheres, *patches),
-            *(n_numbers and 2 * n_numbers, n_channels),
-        ),
-        "slopes": (n_hemispheres, *patches, n_numbers, n_channels),
-        "slope_errors": (n_hemispheres, *patches, n_numbers, n_channels),
+        "changes": (n_batches, n_hemispheres, *patches, n_changes, n_channels),
     }
 
 
@@ -230,13 +220,13 @@ def _check_shapes(
     n_hemispheres, n_batches = len(arrays["hits"]), len(arrays["fates"])
     require(n_hemispheres in (1, 2), f"it has {n_hemispheres} hemispheres")
     require(n_batches > 0, "it holds no batch")
-    own = patches, n_channels, n_numbers
+    own = patches, n_channels, 2 * n_numbers
     shapes = shapes_of_tally(n_batches, n_hemispheres, *own)
     weights = arrays["incident"].dtype == np.float64
     for name in (*Tally.arrays, *(arrays.keys() - {*Tally.arrays})):
         array, shape = arrays[name], shapes[name]
         floats = weights and name in ("sums", "incident", "errors", "direct")
-        floats |= name in DOUBLES
+        floats |= name in ("elements", "changes")
         kind = np.dtype(np.float64 if floats else np.uint64)
         reason = f"its array {name} is {array.dtype} {array.shape}, not {kind} {shape}"
         require(array.shape == shape and array.dtype == kind, reason)

@@ -67,8 +67,8 @@ class SampledGradients:
         value, std_err = self.value(hemisphere, total), self.std_err(hemisphere, total)
         hits = self.light.hits[hemisphere]
         count = np.asarray(hits.sum() if total else hits)[..., None, None]
-        gains = self._parts(hemisphere, total)
-        mean = np.abs(gains).sum(axis=0) / np.maximum(count, 1)
+        pairs = _pairs(self.tally.changes, self.numbers, hemisphere, total)
+        mean = np.sum(pairs, axis=(0, 1)) / np.maximum(count, 1)
         incident = self._incident(total).sum(axis=0)
         unseen = statistics.upper_limit(self.light.rays, level)
         rays = self.light.rays / incident
@@ -90,7 +90,9 @@ class SampledGradients:
         self, hemisphere: int, total: bool, level: float
     ) -> tuple[Flags, Limits]:
         """Where heavy gains or losses are rare, and limits of their differences."""
-        parts = self.tally.parts(self._columns)
+        numbers = self.numbers
+        columns = slice(2 * numbers.start, 2 * numbers.stop)
+        parts = self.tally.parts(columns)
         weight = parts.sums[:, hemisphere].sum(axis=0)
         hits = np.maximum(self.tally.hits[hemisphere], 1)[..., None]
         # in units of a weight that no ray has, as far as is known
@@ -110,35 +112,16 @@ class SampledGradients:
         limits = low[..., 0] - high[..., 1], high[..., 0] - low[..., 1]
         return rare.any(axis=-1), (limits[0] * unit, limits[1] * unit)
 
-    @property
-    def _columns(self) -> slice:
-        """Of gains and losses."""
-        return slice(2 * self.numbers.start, 2 * self.numbers.stop)
-
     def _incident(self, total: bool) -> Floats:
         """Incident flux per batch, broadcastable to derivatives."""
         incident = self.tally.incident.astype(float)[..., None]
         return incident if total else incident[:, None, None]
 
-    def _parts(self, hemisphere: int, total: bool) -> Floats:
-        """What rays gain and lose in all, per batch."""
-        gains, losses = self._both(hemisphere, total)
-        found: Floats = gains + losses
-        return found
-
     def _changes(self, hemisphere: int, total: bool) -> Floats:
         """Gains less losses, per batch."""
-        gains, losses = self._both(hemisphere, total)
+        gains, losses = _pairs(self.tally.changes, self.numbers, hemisphere, total)
         found: Floats = gains - losses
         return found
-
-    def _both(self, hemisphere: int, total: bool) -> tuple[Floats, Floats]:
-        """Gains and losses, per batch."""
-        columns = self.tally.changes[:, hemisphere, ..., self._columns, :]
-        columns = np.swapaxes(columns, -1, -2)
-        if total:
-            columns = columns.sum(axis=(1, 2))
-        return columns[..., ::2], columns[..., 1::2]
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,20 +136,31 @@ class IntegralGradients:
 
     def value(self, hemisphere: int, total: bool) -> Floats:
         """Derivatives of each patch, or of the `total`."""
-        return self._of(self.tally.slopes, hemisphere, total)
+        return self._both(hemisphere, total)[0]
 
     def std_err(self, hemisphere: int, total: bool) -> Floats:
         """What they may be wrong by, added up as if none cancelled."""
-        return self._of(self.tally.slope_errors, hemisphere, total)
+        return self._both(hemisphere, total)[1]
 
     def interval(self, hemisphere: int, total: bool, level: float) -> Limits:  # noqa: ARG002
         """Limits at any level."""
-        value, error = self.value(hemisphere, total), self.std_err(hemisphere, total)
+        value, error = self._both(hemisphere, total)
         return value - error, value + error
 
-    def _of(self, array: Floats, hemisphere: int, total: bool) -> Floats:
-        found = np.swapaxes(array[hemisphere, ..., self.numbers, :], -1, -2)
-        return found.sum(axis=(0, 1)) if total else found
+    def _both(self, hemisphere: int, total: bool) -> tuple[Floats, Floats]:
+        """Derivatives and errors."""
+        value, error = _pairs(self.tally.changes, self.numbers, hemisphere, total)
+        return value[0], error[0]
+
+
+def _pairs(
+    changes: Floats, numbers: slice, hemisphere: int, total: bool
+) -> tuple[Floats, Floats]:
+    """First and second columns of some numbers per batch, channels before numbers."""
+    columns = slice(2 * numbers.start, 2 * numbers.stop)
+    own = np.swapaxes(changes[:, hemisphere, ..., columns, :], -1, -2)
+    own = own.sum(axis=(1, 2)) if total else own
+    return own[..., ::2], own[..., 1::2]
 
 
 class Differentiated:

@@ -492,35 +492,23 @@ class Integrals(Tally):
         errors = errors * per_batch.max(axis=0)
         return cls(**arrays, scale=sampled.scale, errors=errors)
 
-    def differentiated(
-        self, slopes: Floats, slope_errors: Floats
-    ) -> DifferentiatedIntegrals:
-        """The same with derivatives of flux fractions, and their errors."""
-        arrays = {name: getattr(self, name) for name in self.arrays}
-        arrays |= {"slopes": slopes, "slope_errors": slope_errors}
-        return DifferentiatedIntegrals(**arrays, scale=self.scale)
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DifferentiatedIntegrals(Integrals):
-    """Integrals, with their derivatives by parameters.
+    """Integrals of one batch, with their derivatives by parameters.
 
     Attributes
     ----------
-    slopes, slope_errors : ndarray of float64
-        Derivatives of flux fractions by one number of a parameter after the other, and
-        what they may be wrong by, shape ``(n_hemispheres, n_theta, n_phi, n,
-        channels)``.
+    changes : ndarray of float64
+        Derivatives of flux fractions by one number of a parameter after the other, each
+        followed by what it may be wrong by, of the shape
+        ``(1, n_hemispheres, n_theta, n_phi, 2 n, channels)``.
     """
 
-    arrays: ClassVar[tuple[str, ...]] = (*Integrals.arrays, "slopes", "slope_errors")
-    of_channels: ClassVar[tuple[str, ...]] = (
-        *Integrals.of_channels,
-        *("slopes", "slope_errors"),
-    )
+    arrays: ClassVar[tuple[str, ...]] = (*Integrals.arrays, "changes")
+    of_channels: ClassVar[tuple[str, ...]] = (*Integrals.of_channels, "changes")
 
-    slopes: Floats = field(kw_only=True)
-    slope_errors: Floats = field(kw_only=True)
+    changes: Floats = field(kw_only=True)
 
 
 def holds_integrals(tallies: Sequence[Tally]) -> bool:
