@@ -7,7 +7,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from budget import agree, disagree, normal_scores, single, verdict
+from budget import agree, disagree, normal_scores, often_enough, single, verdict
 
 import gonio_mi as gonio
 from gonio_mi.cli import main
@@ -322,3 +322,118 @@ def test_what_cannot_be_differentiated_is_told(why):
         gonio.measure(specimen, 30, gradients=[name], rays=10, **settings)
     assert words in str(error.value)
     assert "\n" not in str(error.value)
+
+
+# ------------------------------------------------------------------- differences, slow
+
+MIXED = {"type": "blendbsdf", "weight": 0.3, "a": GREY, "b": GGX}
+MIRRORS = {
+    "type": "blendbsdf",
+    "weight": 0.3,
+    "a": {"type": "conductor", "specular_reflectance": 0.9},
+    "b": {"type": "conductor", "specular_reflectance": 0.4},
+}
+PLASTIC = {"type": "plastic", "diffuse_reflectance": 0.5, "specular_reflectance": 0.8}
+PAINT = {"type": "principled", "roughness": 0.4, "metallic": 0.3, "base_color": 0.5}
+LEAF = {
+    "type": "principledthin",
+    "roughness": 0.4,
+    "diff_trans": 0.6,
+    "spec_trans": 0.3,
+}
+GLASS = {"type": "roughdielectric", "alpha": 0.3}
+VEIL = {"type": "mask", "opacity": 0.6, "bsdf": GREY}
+ROUGH = {"type": "roughplastic", "alpha": 0.3, "diffuse_reflectance": 0.5}
+ANISOTROPIC = {"type": "roughconductor", "alpha_u": 0.2, "alpha_v": 0.4}
+CASES = {
+    "metal": (GGX, "alpha.value"),
+    "brushed metal": (ANISOTROPIC, "alpha_u.value"),
+    "rough glass": (GLASS, "alpha.value"),
+    "rough plastic": (ROUGH, "diffuse_reflectance.value"),
+    "varnish": (PLASTIC, "specular_reflectance.value"),
+    "plastic": (PLASTIC, "diffuse_reflectance.value"),
+    "pane": ({"type": "thindielectric"}, "eta"),
+    "mirrors": (MIRRORS, "weight.value"),
+    "mixture": (MIXED, "weight.value"),
+    "veil": (VEIL, "opacity.value"),
+    "paint": (PAINT, "roughness.value"),
+    "flakes": (PAINT, "metallic.value"),
+    "leaf": (LEAF, "diff_trans.value"),
+    "thin glass": (LEAF, "spec_trans.value"),
+}
+ON_HILLS = ("metal", "varnish", "plastic", "mixture", "veil", "paint")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("where", ["plane", "hills"])
+@pytest.mark.parametrize("name", CASES)
+def test_totals_are_those_of_differences(name, where):
+    """Statistics: six differences with common random numbers; the twin is half off."""
+    bsdf, end = CASES[name]
+    if where == "hills" and name not in ON_HILLS:
+        pytest.skip("a plane shows it")
+    shape = {"type": "rectangle"} if where == "plane" else HILLS
+    scene = mi.load_dict({"type": "scene", "s": shape | {"bsdf": bsdf}})
+    settings = {"theta_i": 50, "collector": "projected:2x2", "rays": 2**18}
+    settings |= {} if where == "plane" else {"period": "box"}
+    record = gonio.measure(scene, gradients=[end], **settings)
+    params = mi.traverse(scene)
+    key = next(key for key in params.keys() if key.endswith(f".{end}"))  # noqa: SIM118
+    value = type(params[key])(params[key])
+    step, found = 0.03 * float(np.array(value).ravel()[0]), []
+    for seed in range(1, 7):
+        ends = []
+        for sign in (1, -1):
+            params[key] = type(value)(value + sign * step)
+            params.update()
+            measured = gonio.measure(scene, seed=seed, **settings)
+            ends.append([x[0] for x in (measured.dhr, measured.dht) if x is not None])
+        found.append(np.subtract(*ends) / (2 * step))
+    found = np.array(found)
+    own = ("dhr", "dht")[: found.shape[1]]
+    mean, error = found.mean(axis=0), found.std(axis=0, ddof=1) / 6**0.5
+    value = np.array([record.gradient(end, of)[0] for of in own])
+    noise = np.array([record.gradient_std_err(end, of)[0] for of in own])
+    # what the third derivative leaves of a difference
+    error = np.hypot(np.hypot(error, noise), 1e-3 * np.abs(mean) + 1e-7)
+    for i in np.flatnonzero(np.abs(mean) > 1e-6):
+        agree(single(normal_scores((value[i] - mean[i]) / error[i], 5)))
+    far = np.argmax(np.abs(mean) / error)
+    if name != "rough glass":  # of which hardly anything changes
+        wrong = (1.5 * value[far] - mean[far]) / error[far]
+        disagree(single(normal_scores(wrong, 5)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("alpha", "sampler"), [(0.05, "sobol"), (0.3, "independent")])
+def test_intervals_cover_the_truth(alpha, sampler):
+    """Statistics over 100 seeds: patches of many, few and no hits, and the total.
+
+    The twin: intervals of 80 % do not cover .95 of patches with many hits.
+    """
+    settings = SETTINGS | {"sampler": sampler, "gradients": ["alpha.value"]}
+    bsdf = GGX | {"alpha": alpha}
+    truth = gonio.measure(bsdf, **settings | {"estimator": "quadrature"})
+    patches, total = (truth.gradient("alpha.value", of) for of in ("brdf", "dhr"))
+    scene = mi.load_dict({"type": "scene", "s": {"type": "rectangle", "bsdf": bsdf}})
+    covered = {name: [] for name in ("dark", "few", "many", "total", "twin")}
+    for seed in range(100):
+        record = gonio.measure(scene, seed=seed, rays=1000 + 100 * seed, **settings)
+        hits = record.counts[0]
+        enough = 30 if sampler == "sobol" else 100
+        kinds = {"dark": hits == 0, "few": (hits > 0) & (hits < enough)}
+        kinds["many"] = kinds["twin"] = hits >= enough
+        for name, some in kinds.items():
+            level = 0.8 if name == "twin" else 0.95
+            low, high = record.gradient_interval("alpha.value", level)
+            held = (low <= patches) & (patches <= high)
+            if some.any():
+                covered[name].append(held[some].mean())
+        low, high = record.gradient_interval("alpha.value", of="dhr")
+        covered["total"].append(bool(low[0] <= total[0] <= high[0]))
+    for name in ("few", "many", "total"):
+        agree(often_enough(covered[name]))
+    assert np.mean(covered["many"]) < 0.975
+    disagree(often_enough(covered["twin"]))
+    if covered["dark"]:
+        agree(often_enough([np.mean(covered["dark"]) >= 0.95] * len(covered["dark"])))
