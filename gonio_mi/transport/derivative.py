@@ -136,20 +136,14 @@ class Adjoint(Derivative):
         delta, lit = is_delta(bs), active & (weight > 0)
         with dr.resume_grad():
             value = mi.Spectrum(bsdf.eval(flux_context(), si, bs.wo, active & ~delta))
-            self._send(value, lit & ~delta)
             if self.lobes is not Lobes.STILL:
                 own = self._lobe(bsdf, si, u1, u2, active & delta)
-                self._send(own, lit & delta)
+                value = dr.select(delta, own, value)
+            if dr.grad_enabled(value):
+                known = mi.Spectrum(dr.detach(value))
+                slope = dr.select(lit & (known > 0), self.weights / known, 0)
+                dr.backward_from(dr.sum(value * slope))
         return mi.Spectrum(0)
-
-    def _send(self, value: mi.Spectrum, active: Any) -> None:
-        """Send a value's part of the weights back to the parameters."""
-        if not dr.grad_enabled(value):
-            return
-        known = mi.Spectrum(dr.detach(value))
-        slope = self.weights * dr.rcp(known)
-        slope = dr.select(active & (known > 0), slope, 0)
-        dr.backward_from(dr.sum(value * slope))
 
 
 @dr.syntax

@@ -8,6 +8,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from budget import agree, disagree, normal_scores, often_enough, single, verdict
+from plain_bsdf import plain
 
 import gonio_mi as gonio
 from gonio_mi.cli import main
@@ -322,6 +323,33 @@ def test_what_cannot_be_differentiated_is_told(why):
         gonio.measure(specimen, 30, gradients=[name], rays=10, **settings)
     assert words in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_rays_without_a_derivative_are_told():
+    """Exact: `sample` sends a ray where `eval` is 0."""
+
+    class Holes(plain()):
+        def load(self, props):  # noqa: ARG002
+            self.reflectance = mi.Float(0.5)
+
+        def traverse(self, callback):
+            flag = mi.ParamFlags.Differentiable
+            callback.put("reflectance", self.reflectance, flag)
+
+        def value(self, ctx, si, wo):
+            lit = mi.Frame3f.cos_theta(wo) > 0.2
+            return super().value(ctx, si, wo) & lit
+
+        def weight(self, ctx, si, bs):  # noqa: ARG002
+            return mi.Spectrum(self.reflectance)
+
+    mi.register_bsdf("holes", Holes)
+    with pytest.warns(match="derivative of .* rays was not finite"):
+        record = gonio.measure(
+            {"type": "holes"}, 30, gradients=["reflectance"], rays=1000
+        )
+    # as much of them as goes elsewhere: a cosine below 0.2 has 0.04 of all
+    assert record.gradient("reflectance", "dhr") == pytest.approx(0.96, abs=0.01)
 
 
 # ------------------------------------------------------------------- differences, slow
