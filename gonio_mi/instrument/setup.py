@@ -111,7 +111,7 @@ def set_up(
     _check_specimen(specimen, settings)
     defects = _defects(specimen, settings)
     collector = _collector(specimen, settings)
-    gradients = _gradients(specimen, settings)
+    gradients = _gradients(scene, specimen, settings)
     described = described_digest(emitter)
     choice = None
 
@@ -221,12 +221,14 @@ def _check_specimen(specimen: Specimen, settings: MeasurementSettings) -> None:
     _warn_of_finer_patches(specimen, settings)
 
 
-def _gradients(specimen: Specimen, settings: MeasurementSettings) -> Gradients | None:
+def _gradients(
+    scene: mi.Scene, specimen: Specimen, settings: MeasurementSettings
+) -> Gradients | None:
     """Parameters by which light is differentiated, once that is known to be right."""
     if not settings.gradients:
         return None
     check_differentiable(specimen, settings)
-    gradients = Gradients.of_names(specimen.scene, settings.gradients)
+    gradients = Gradients.of_names(scene, settings.gradients)
     try_gradients(gradients, specimen, settings)
     return gradients
 

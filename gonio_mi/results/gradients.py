@@ -13,11 +13,11 @@ from ..single_precision import ROUNDING
 from . import statistics
 from .estimates import MIN_DEPOSITS, MIN_EVEN_HITS, MIN_HITS, SampledEstimates
 from .tally import DifferentiatedIntegrals, DifferentiatedTally
+from .values import QUANTITIES, TOTALS
 
 if TYPE_CHECKING:
     from .record import Record
 
-QUANTITIES, TOTALS = ("brdf", "btdf", "dhr", "dht"), ("dhr", "dht")
 
 # Weights of rays that were not seen, over the largest mean weight of a patch: slopes
 # grow towards the tails of a lobe.

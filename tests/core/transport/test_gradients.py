@@ -173,6 +173,16 @@ def test_the_command_shows_and_draws_them(tmp_path, capsys):
     assert "did you mean alpha.value?" not in capsys.readouterr().out
 
 
+def test_names_are_those_of_the_scene_that_was_given():
+    """Exact: of a BSDF that two shapes share, too."""
+    ref = {"type": "ref", "id": "metal"}
+    two = {"a": {"type": "rectangle", "b": ref}, "c": {"type": "sphere", "b": ref}}
+    scene = mi.load_dict({"type": "scene", "metal": GGX} | two)
+    name = next(k for k in mi.traverse(scene).keys() if "alpha" in k)  # noqa: SIM118
+    record = gonio.measure(scene, 50, rays=100, gradients=[name])
+    assert record.gradients == (name,)
+
+
 # ------------------------------------------------------------------ mi.render in a loss
 
 
