@@ -99,11 +99,12 @@ class Gradients:
                     continue
                 found._n_numbers(key, key)
                 own = _flat(dr.grad(value)) if tangents else _sizes(value)
-                directions[key] = own
+                if np.any(own):
+                    directions[key] = own
         if not directions:
             raise SpecimenError(
-                "gradients need a parameter of the scene that has them enabled, got "
-                "none"
+                "gradients need a parameter of the scene that has them enabled, and "
+                "forward one that is not 0, got none"
             )
         found.columns = (Column("parameters", directions),)
         return found
@@ -261,7 +262,8 @@ class Gradients:
             raise _no_bsdf(name, owner)
         # towards smaller values, or off 0
         numbers = _flat(value)
-        steps = np.where(numbers, -np.sign(numbers), 1.0) * np.abs(direction)
+        steps = np.abs(direction) / np.abs(direction).max()
+        steps *= np.where(numbers, -np.sign(numbers), 1.0)
         size = float(np.max(np.abs(numbers[direction != 0]), initial=0.0)) or 1.0
         lobes, depends = Lobes.STILL, False
         for bsdf in {id(one): one for one in holding}.values():

@@ -258,6 +258,25 @@ def test_forward_and_backward_tell_the_same(name):
     np.testing.assert_allclose(backward, forward, rtol=1e-4)
 
 
+def test_forward_goes_along_the_gradients_of_several():
+    """Rounding: linear in a large one, and in one that is 0, of two parameters."""
+    scene = scene_of({"type": "rectangle", "bsdf": GGX | {"specular_reflectance": 0.5}})
+    params = mi.traverse(scene)
+    names = [f"shape.bsdf.{end}.value" for end in ("alpha", "specular_reflectance")]
+    found = []
+    for tangents in ((100, 0), (0, 100), (1, 1)):
+        own = [mi.Float(ALPHA), mi.Float(0.5)]
+        for name, value, tangent in zip(names, own, tangents):
+            dr.enable_grad(value)
+            dr.set_grad(value, tangent)
+            params[name] = value
+        params.update()
+        pixels = mi.render(scene, params, seed_grad=5)
+        found.append(np.array(dr.forward_to(pixels)))
+    one, other, both = found
+    np.testing.assert_allclose((one + other) / 100, both, rtol=1e-3, atol=1e-4)
+
+
 def test_grey_map_has_all_channels_of_a_colour():
     """Rounding: of a diffuse plate the map goes with the reflectance."""
     mi.set_variant("llvm_ad_rgb")
