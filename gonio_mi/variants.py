@@ -73,6 +73,15 @@ def check_unpolarised(what: str) -> None:
         )
 
 
+def check_differentiates(what: str) -> None:
+    """Raise :class:`VariantError` if the variant has no derivatives."""
+    if "_ad_" not in mi.variant():
+        raise VariantError(
+            f"{what} needs a variant with derivatives, such as llvm_ad_mono, got "
+            f"{mi.variant()}"
+        )
+
+
 def processor() -> str:
     """Text on the processor that kernels of the variant are compiled for.
 

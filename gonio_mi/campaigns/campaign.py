@@ -133,6 +133,7 @@ def campaign(
         "theta_i": theta_i,
         "phi_i": phi_i if np.any(phi_i) else None,
         "incident": asked.incident,
+        "gradients": asked.gradients or None,
     }
     for other, value in others.items():
         if value is not None:

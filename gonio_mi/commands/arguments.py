@@ -140,6 +140,7 @@ def add_setting(group: Group, name: str, default: str | None = None) -> None:
         Kind.WORD: {},
         Kind.WORD_OR_NUMBER: {"type": _number_or_word},
         Kind.NUMBERS: {"type": number, "nargs": "+"},
+        Kind.WORDS: {"nargs": "+"},
         Kind.FLAG: {"action": "store_true", "default": None},
     }
     declared = declarations(MeasurementSettings)[name]

@@ -82,6 +82,7 @@ RARE = (
     *("--max-depth", "--max-scatterings", "--rr-depth", "--trace"),
     *("--size-y", "--scale", "--range", "--unit", "--form", "--fill", "--mean-plane"),
     *("--normal", "--size", "--wavelengths", "--workers", "--folder", "--resume"),
+    "--gradients",
 )
 
 

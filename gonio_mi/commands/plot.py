@@ -8,6 +8,7 @@ examples:
   gonio-mi plot run.npz -o run.png
   gonio-mi plot stack.npz -o lobe.gif
   gonio-mi plot polarised.npz --stokes 1 1 0 0 -o along_s.png
+  gonio-mi plot run.npz --gradient alpha.value -o slope.png
 """
 
 from argparse import ArgumentParser, Namespace
@@ -28,6 +29,8 @@ def add_options(parser: ArgumentParser) -> None:
     )
     text = "Draw all elements of the Mueller matrices of a polarised record."
     parser.add_argument("--mueller", action="store_true", help=text)
+    text = "Draw the derivative by this parameter, of a record with gradients."
+    add_text(parser, "--gradient", "NAME", text)
     text = "Number of the incident direction of a stack, from 0. Default: all."
     add_number(parser, "--index", "J", text)
 
@@ -39,9 +42,13 @@ def run(options: Namespace) -> int:
 
     animated = Path(options.output).suffix.lower() in plots.ANIMATION_ENDINGS
     index, vector = options.index or 0, options.stokes
-    if options.mueller and vector:
-        raise SettingError("--mueller and --stokes are mutually exclusive")
-    if options.mueller:
+    if options.mueller + bool(vector) + (options.gradient is not None) > 1:
+        raise SettingError(
+            "--mueller, --stokes and --gradient are mutually exclusive, got several"
+        )
+    if options.gradient is not None:
+        plots.plot_gradient(record, options.gradient, options.output, index=index)
+    elif options.mueller:
         plots.plot_mueller(record, options.output, index=index)
     elif vector:
         plots.plot_stokes(record, options.output, stokes=vector, index=index)

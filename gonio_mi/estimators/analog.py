@@ -10,3 +10,4 @@ class Analog(Method):
     """Each ray stays whole: all sums are numbers of rays."""
 
     counted = True
+    differentiable = False  # a ray lives or ends

@@ -78,7 +78,8 @@ def chosen(
     flat = specimen.plane is not None and not settings.trace
     by_rays = not any(mi.has_flag(one, mi.BSDFFlags.Smooth) for one in flags)
     deposits = replace(settings, estimator=Estimator.NEXT_EVENT)
-    by_facets = by_rays and not (flat or orders) and _controls(tried(deposits))
+    by_facets = by_rays and not (flat or orders or settings.gradients)
+    by_facets = by_facets and _controls(tried(deposits))
     wish, most = settings.rel_err, INTEGRAL_REL_ERR
     reasons = {
         "a medium is walked through": bool(specimen.media),

@@ -59,6 +59,10 @@ class NextEvent(Method):
                 "the estimator next_event needs geometry, got a flat rectangle: take "
                 "quadrature, which integrates eval over all patches"
             )
+        if setup.gradients is not None and self.controls(setup):
+            raise SpecimenError(
+                "gradients of mirror facets need the estimator weighted, got next_event"
+            )
 
     def functions(self, bsdf: mi.BSDF) -> set[str]:  # noqa: ARG002
         """Both: rays are drawn by `sample`, and `eval` is deposited."""
@@ -115,6 +119,7 @@ class Deposits:
 
     def __init__(self, rays: LaunchedRays, lanes: mi.Bool) -> None:
         self.setup, self.sums = rays.setup, rays.sums
+        self.derivative = rays.derivative
         setup = rays.setup
         self.facets: Any = rays.control  # MirrorFacets, or None
         self.points = setup.settings.points
@@ -149,6 +154,7 @@ class Deposits:
         depth: mi.UInt32,
         sampler: mi.Sampler,
         active: mi.Bool,
+        slope: mi.Spectrum | None = None,
     ) -> mi.Bool:
         """Deposit what one event of each active ray sends, from its throughput `β`.
 
@@ -165,6 +171,8 @@ class Deposits:
             Events before this one.
         sampler : mi.Sampler
         active : mi.Bool
+        slope : mi.Spectrum, optional
+            Logarithmic derivative of the throughput.
 
         Returns
         -------
@@ -189,10 +197,16 @@ class Deposits:
             local_wo = si.to_local(wo)
             value, pdf = bsdf.eval_pdf(flux_context(), si, local_wo, wanted)
             value = in_instrument_frames(si, value, ray.d, local_wo, wo)
-            value *= shading_normal_correction(si, ray, local_wo, wo)
+            corrected = shading_normal_correction(si, ray, local_wo, wo)
+            value *= corrected
             spread *= part
             light, realisable = product(value, β)
-            light *= spread * dr.rcp(1 + _finite(pdf) * spread)
+            weight = spread * dr.rcp(1 + _finite(pdf) * spread)
+            light *= weight
+            change = None
+            if self.derivative is not None and slope is not None:
+                own, _ = self.derivative.of_eval(bsdf, si, local_wo, wanted)
+                change = light * slope + own * (corrected * weight) * β
             power = power_of(light)
             # comparisons with NaN are false
             good = (dr.min(power) >= 0) & (dr.max(power) <= MAX_POWER) & realisable
@@ -203,7 +217,7 @@ class Deposits:
             onward = mi.Ray3f(start + dr.copysign(offset, dr.dot(si.n, wo)) * si.n, wo)
             side = self.setup.beam.side
             shines &= escapes(specimen, side, onward, si.n, offset, shines)
-            self.sums.deposit(number, light, shines, self.batch)
+            self.sums.deposit(number, light, shines, self.batch, change=change)
             i += 1
         return sound
 
@@ -244,7 +258,8 @@ class Deposits:
         setup = self.setup
         active = self.lanes & (bins < setup.n_collected)
         if not self.scatters:  # there are no points
-            self.sums.deposit(bins, exits.throughput, active, self.batch)
+            light, change = exits.throughput, exits.change
+            self.sums.deposit(bins, light, active, self.batch, change=change)
             return
         lower = bins >= setup.n_patches
         number = dr.select(active, bins, 0)
@@ -256,7 +271,9 @@ class Deposits:
         expected = exits.density * spread  # times the density of all points
         part = dr.select(dr.isinf(exits.density), 1.0, expected * dr.rcp(1 + expected))
         active &= part > 0
-        self.sums.deposit(bins, exits.throughput * part, active, self.batch)
+        change = None if exits.change is None else exits.change * part
+        light = exits.throughput * part
+        self.sums.deposit(bins, light, active, self.batch, change=change)
 
     def _spread(self, patch: mi.UInt32, lower: mi.Bool, change: mi.Float) -> mi.Float:
         """Inverse of the density of a point in `patch`, in sr.

@@ -7,13 +7,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from ..array_types import Floats
 from ..errors import SpecimenError
 from ..quadrature.integrate import integrate_each
-from ..results.tally import WEIGHT_SCALE, Integrals, Tally
+from ..results.tally import (
+    WEIGHT_SCALE,
+    DifferentiatedIntegrals,
+    Integrals,
+    Tally,
+)
 from ..settings.values import ALL_ORDERS
 from ..specimen.wavelengths import wavelength_lanes
 from ..transport.method import Method
@@ -51,6 +57,11 @@ class Quadrature(Method):
                 raise SpecimenError(
                     f"the estimator quadrature needs {need}: take weighted instead"
                 )
+        if setup.gradients is not None and self.samples(setup):
+            raise SpecimenError(
+                "gradients of delta components need the estimator weighted, got "
+                "quadrature"
+            )
 
     def functions(self, bsdf: mi.BSDF) -> set[str]:
         """Return `eval`, and `sample` where there are delta components."""
@@ -64,26 +75,31 @@ class Quadrature(Method):
         self,
         setups: Sequence[Setup],
         progress: bool,  # noqa: ARG002
-    ) -> Sequence[tuple[Floats, Floats]]:
-        """Flux fractions of each setup, and their errors; they share kernels."""
+    ) -> Sequence[tuple[Floats, ...]]:
+        """Flux fractions of each setup, and their errors; they share kernels.
+
+        Of gradients their derivatives as well.
+        """
         groups = [_pass_integrals(setups, nm) for nm in setups[0].passes]
         joined = (zip(*parts) for parts in zip(*groups))
-        return [
-            (np.concatenate(flux, axis=-1), np.concatenate(errors, axis=-1))
-            for flux, errors in joined
-        ]
+        return [tuple(np.concatenate(x, axis=-1) for x in arrays) for arrays in joined]
 
     def finish(
-        self, setup: Setup, tallies: Sequence[Tally], known: tuple[Floats, Floats]
+        self, setup: Setup, tallies: Sequence[Tally], known: tuple[Floats, ...]
     ) -> Integrals:
         """Integrals beside the tally of the delta components."""
-        flux, errors = known
+        flux, errors, *changes = known
         if tallies:
             beside = Tally.join(tallies).spread(flux.shape[-1])
         else:
             shape = setup.collector.subdivision.shape
             beside = Tally.empty(setup.shape[0], shape, flux.shape[-1], WEIGHT_SCALE)
-        return Integrals.beside(beside, flux, errors)
+        found = Integrals.beside(beside, flux, errors)
+        if not changes:
+            return found
+        arrays = {name: getattr(found, name) for name in found.arrays}
+        arrays |= {"changes": changes[0][None], "scale": found.scale}
+        return DifferentiatedIntegrals(**arrays)
 
 
 def _has_delta(bsdf: mi.BSDF) -> bool:
@@ -92,10 +108,11 @@ def _has_delta(bsdf: mi.BSDF) -> bool:
 
 def _pass_integrals(
     setups: Sequence[Setup], nm: tuple[float, ...] | None
-) -> list[tuple[Floats, Floats]]:
+) -> list[tuple[Floats, ...]]:
     """Flux fractions of some wavelengths, and their errors, at each setup.
 
-    Arrays of shape ``(n_hemispheres, n_theta, n_phi, channels)``.
+    Arrays of shape ``(n_hemispheres, n_theta, n_phi, channels)``; derivatives with
+    their errors have an axis more before the last.
     """
     setup = setups[0]
     si = mi.SurfaceInteraction3f(setup.specimen.plane.interaction)
@@ -110,4 +127,15 @@ def _pass_integrals(
         n_hemispheres=setup.shape[0],
     )
     kept = ..., slice(0, nm and len(nm))
-    return [(one.flux[kept], one.error[kept]) for one in found]
+    arrays: list[tuple[Floats, ...]]
+    arrays = [(one.flux[kept], one.error[kept]) for one in found]
+    if setup.gradients is None:
+        return arrays
+    each: list[list[Floats]] = [[] for _ in found]
+    bsdf = setup.specimen.plane.bsdf
+    for column, derivative in setup.gradients.derivatives:
+        with setup.gradients.attached(column.directions), dr.suspend_grad():
+            for own, one in zip(each, found):
+                own += one.slopes(bsdf, derivative)
+    changes = (np.stack(own, axis=-2)[kept] for own in each)
+    return [(*own, more) for own, more in zip(arrays, changes)]

@@ -42,6 +42,7 @@ class Split(Method):
     deposits = True
     resumes = False
     shares_points = True
+    differentiable = False
     task = 32  # they share the points, and what these see of the patches
 
     def check(self, setup: Setup) -> None:

@@ -18,6 +18,9 @@ The parts of one incident direction, in a stack with its number after a dot:
     Of integrals only: what they may be wrong by, in the same unit.
 ``elements``
     Of polarised variants only: sums of the elements but the first, in the same unit.
+``changes``
+    Of gradients only: a gain and a loss with each of the setting ``columns``, in the
+    same unit; of integrals the derivative of the flux fraction, and its error.
 
 Whole numbers beyond 32 bits have their upper half in ``count_high`` and ``sum_high``.
 The first header holds the rest as JSON, ``gonio.record``, and a check sum of the
@@ -35,7 +38,7 @@ import OpenEXR
 
 from ..array_types import Counts, Floats, Numbers
 from ..results.record import Record
-from ..results.tally import ELEMENT_NAMES, N_ELEMENTS, Integrals, PolarisedTally
+from ..results.tally import ELEMENT_NAMES, Integrals, PolarisedTally
 from .checks import check_seal, require, seal_of
 from .exr_part_reader import image_of, parts_of
 from .header import (
@@ -51,7 +54,7 @@ from .header import (
 MAGIC = b"\x76\x2f\x31\x01"
 
 # Parts of a direction that are read: what is exact.
-SUMMED = ("brdf", "btdf", "tally", "integral", "elements")
+SUMMED = ("brdf", "btdf", "tally", "integral", "elements", "changes")
 
 # Width and height of the picture of a hemisphere, in pixels.
 VIEW_SIZE = 512
@@ -72,6 +75,8 @@ MEANINGS = {
     "hemisphere and ring, one column per sector: whole numbers if scale is 1, else "
     + _HALVES,
     "elements": "elements of Mueller matrices but the first, as the tally: " + _HALVES,
+    "changes": "gains and losses with each of the columns, as the tally, or of "
+    "integrals derivatives of flux fractions and their errors: " + _HALVES,
     "integral": "what the integrals may be wrong by in units of 1/scale of a ray, one "
     "row per hemisphere and ring: " + _HALVES,
 }
@@ -167,7 +172,7 @@ def _part_name(name: str, index: int, n: int) -> str:
 
 def _include(digest: Any, arrays: Mapping[str, Numbers]) -> None:
     """Add a tally's exact pixel values to a check sum."""
-    for name in ("hits", "sums", "errors", "elements"):
+    for name in ("hits", "sums", "errors", "elements", "changes"):
         if name in arrays:
             digest.update(np.ascontiguousarray(bits(arrays[name]), dtype="<u8").data)
 
@@ -207,6 +212,9 @@ def pixels(single: Record) -> dict[str, dict[str, Numbers]]:
         for number, element in enumerate(ELEMENT_NAMES):
             exact["elements", element] = tally.elements[..., number, :]
         parts |= _matrices(single, names)
+    if hasattr(tally, "changes"):
+        for number, column in enumerate(np.moveaxis(tally.changes, -2, 0)):
+            exact["changes", f"{number:02d}"] = column
     for (part, layer), array in exact.items():
         rows = bits(array).reshape(-1, single.subdivision.shape[1], len(names))
         layers = parts.setdefault(part, {})
@@ -351,12 +359,16 @@ def _sums(
     if "integral" in parts:
         errors = channels("integral", "error", len(hits) * shape[0])
         arrays["errors"] = errors.reshape(len(hits), *shape, -1)
-    if "elements" in parts:
-        rows = n_batches * len(hits) * shape[0]
-        each = [channels("elements", element, rows) for element in ELEMENT_NAMES]
-        elements = np.stack(each, axis=-2).view(float)
-        of_each = n_batches, len(hits), *shape, N_ELEMENTS, len(names)
-        arrays["elements"] = elements.reshape(of_each)
+    numbered = [f"{i:02d}" for i in range(len(parts.get("changes", ())))]
+    own = [one for one in numbered if f"{one}.{names[0]}" in parts["changes"]]
+    for part, columns in (("elements", ELEMENT_NAMES), ("changes", own)):
+        if part in parts:
+            require(bool(columns), f"its part {part} is damaged")
+            rows = n_batches * len(hits) * shape[0]
+            each = [channels(part, column, rows) for column in columns]
+            several = np.stack(each, axis=-2).view(float)
+            of_each = n_batches, len(hits), *shape, len(columns), len(names)
+            arrays[part] = several.reshape(of_each)
     return arrays
 
 

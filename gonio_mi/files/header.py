@@ -12,7 +12,15 @@ from ..collector import Subdivision, subdivision
 from ..errors import FileFormatError, shown
 from ..results.provenance import FACETS, read_settings
 from ..results.record import Record
-from ..results.tally import N_ELEMENTS, Fate, Integrals, PolarisedTally, Tally
+from ..results.tally import (
+    N_ELEMENTS,
+    DifferentiatedIntegrals,
+    DifferentiatedTally,
+    Fate,
+    Integrals,
+    PolarisedTally,
+    Tally,
+)
 from .checks import require
 
 # Stokes vectors that Mueller matrices belong to, for whoever reads a file.
@@ -27,7 +35,10 @@ VERSION = 4
 # Of files that leave out copies of incident directions.
 VERSION_OF_COPIES = 5
 
-VERSIONS = (VERSION, VERSION_OF_COPIES)
+# Of files with gradients.
+VERSION_OF_GRADIENTS = 6
+
+VERSIONS = (VERSION, VERSION_OF_COPIES, VERSION_OF_GRADIENTS)
 
 # Deflate expands by at most 1032 (zlib's technical details). A file that announces more
 # than this many times its own size does not hold what it says.
@@ -41,7 +52,7 @@ def header_of(record: Record) -> dict[str, Any]:
     """
     return {
         "format": FORMAT,
-        "version": VERSION,
+        "version": VERSION_OF_GRADIENTS if record.provenance.columns else VERSION,
         "subdivision": str(record.subdivision),
         "theta_i": [None if math.isnan(x) else float(x) for x in record.theta_i],
         "phi_i": [None if math.isnan(x) else float(x) for x in record.phi_i],
@@ -72,7 +83,7 @@ def check_format(header: Any) -> None:
     require(isinstance(header, dict) and header.get("format") == FORMAT, reason)
     version = header.get("version")
     if version not in VERSIONS:
-        newer = isinstance(version, int) and version > VERSION_OF_COPIES
+        newer = isinstance(version, int) and version > max(VERSIONS)
         raise FileFormatError(
             f"it has format version {version!r} and this gonio-mi reads "
             f"{', '.join(map(str, VERSIONS))}"
@@ -94,8 +105,8 @@ def rebuilt(
         As :func:`header_of` made it, from a file: not to be trusted.
     tallies : iterable of dict
         The arrays `hits`, `sums`, `incident`, `fates` and `direct` of :class:`Tally`,
-        and `errors` or `elements` if it has some. None is asked for before the header
-        has been checked.
+        and those of its kind if it has some. None is asked for before the header has
+        been checked.
     n : int
         How many there are.
     added_up : bool
@@ -128,7 +139,11 @@ def rebuilt(
         f"{shown(str(patches))}",
     )
     # rays take off sums what facets are said to send
-    signed = {"elements", *(["sums"] if provenance.transport == FACETS else [])}
+    signed = {
+        "elements",
+        "changes",
+        *(["sums"] if provenance.transport == FACETS else []),
+    }
     kept = []
     for arrays, scale in zip(tallies, scales):
         fates = arrays["fates"]
@@ -136,7 +151,8 @@ def rebuilt(
             # written when such rays were sideways
             arrays["fates"] = np.pad(fates, ((0, 0), (0, 1)))
         require(0 < scale < 2**63, f"its scale {scale} is out of range")
-        _check_shapes(arrays, patches.shape, len(channels), signed)
+        shape = patches.shape, len(channels), len(provenance.columns)
+        _check_shapes(arrays, *shape, signed)
         tally = _tally(arrays, scale)
         kept.append(tally.added_up() if added_up else tally)
     return Record(
@@ -164,12 +180,18 @@ def _tally(arrays: dict[str, Numbers], scale: int) -> Tally:
     """Sums of the kind that the arrays are of."""
     if "elements" in arrays:
         return PolarisedTally(**arrays, scale=scale)
-    kind = Integrals if "errors" in arrays else Tally
-    return kind(**arrays, scale=scale)
+    kinds = (Integrals, DifferentiatedIntegrals), (Tally, DifferentiatedTally)
+    kind: Any = kinds["errors" not in arrays]["changes" in arrays]
+    found: Tally = kind(**arrays, scale=scale)
+    return found
 
 
 def shapes_of_tally(
-    n_batches: int, n_hemispheres: int | None, patches: tuple[int, int], n_channels: int
+    n_batches: int,
+    n_hemispheres: int | None,
+    patches: tuple[int, int],
+    n_channels: int,
+    n_changes: int | None = None,
 ) -> dict[str, tuple[int | None, ...]]:
     """Shapes of all possible arrays of a tally; None where unknown."""
     return {
@@ -180,6 +202,7 @@ def shapes_of_tally(
         "direct": (n_batches, n_channels),
         "errors": (n_hemispheres, *patches, n_channels),
         "elements": (n_batches, n_hemispheres, *patches, N_ELEMENTS, n_channels),
+        "changes": (n_batches, n_hemispheres, *patches, n_changes, n_channels),
     }
 
 
@@ -187,6 +210,7 @@ def _check_shapes(
     arrays: dict[str, Numbers],
     patches: tuple[int, int],
     n_channels: int,
+    n_numbers: int,
     signed: Collection[str],
 ) -> None:
     """Raise FileFormatError unless the arrays of a tally fit the header.
@@ -196,12 +220,13 @@ def _check_shapes(
     n_hemispheres, n_batches = len(arrays["hits"]), len(arrays["fates"])
     require(n_hemispheres in (1, 2), f"it has {n_hemispheres} hemispheres")
     require(n_batches > 0, "it holds no batch")
-    shapes = shapes_of_tally(n_batches, n_hemispheres, patches, n_channels)
+    own = patches, n_channels, 2 * n_numbers
+    shapes = shapes_of_tally(n_batches, n_hemispheres, *own)
     weights = arrays["incident"].dtype == np.float64
-    for name in (*Tally.arrays, *(arrays.keys() & {"errors", "elements"})):
+    for name in (*Tally.arrays, *(arrays.keys() - {*Tally.arrays})):
         array, shape = arrays[name], shapes[name]
         floats = weights and name in ("sums", "incident", "errors", "direct")
-        floats |= name == "elements"
+        floats |= name in ("elements", "changes")
         kind = np.dtype(np.float64 if floats else np.uint64)
         reason = f"its array {name} is {array.dtype} {array.shape}, not {kind} {shape}"
         require(array.shape == shape and array.dtype == kind, reason)

@@ -4,8 +4,9 @@
 `fates` and `direct` hold the batches of all incident directions, `n_batches` of each,
 one after the other on their first axis. `errors`, of integrals only, is `hits` with
 channels, and `elements`, of polarised variants, `sums` with an axis of the elements of
-Mueller matrices before the last, row by row without the first. The rest is the header,
-`settings` as JSON.
+Mueller matrices before the last, row by row without the first; `changes`, of gradients,
+has there a gain and a loss with each of the setting `columns`, or of integrals the
+derivative and its error. The rest is the header, `settings` as JSON.
 
 Where a campaign has copied directions by a symmetry of the specimen, their sums are
 left out, and `copies` has a row for each incident direction: the number of that which
@@ -60,7 +61,7 @@ TALLIES = {
     "direct": ("float64 uint64", 2),
 }
 INTEGRALS = {"errors": ("float64 uint64", 5)}
-ELEMENTS = {"elements": ("float64", 6)}
+COLUMNS = {"elements": ("float64", 6), "changes": ("float64", 6)}
 COPIES = {"copies": ("int64", 2)}
 
 # Arrays that are of all batches together.
@@ -139,7 +140,8 @@ def read(stream: BinaryIO, added_up: bool = False) -> Record:
         header["settings"] = parsed_json(header["settings"])
         check_format(header)
         expected = TALLIES | (INTEGRALS if "errors.npy" in members else {})
-        expected |= ELEMENTS if "elements.npy" in members else {}
+        held = (name for name in COLUMNS if f"{name}.npy" in members)
+        expected |= {name: COLUMNS[name] for name in held}
         expected |= COPIES if header["version"] == VERSION_OF_COPIES else {}
         known = {f"{name}.npy" for name in HEADER | expected}
         own = members.keys() == known and len(archive.infolist()) == len(known)

@@ -8,6 +8,8 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import drjit as dr
+
 from ..kernels import check_all_counted
 from ..results.tally import Tally
 from ..specimen.wavelengths import lanes_of
@@ -15,7 +17,7 @@ from ..transport.curve import MAX_SEQUENCES, curves
 from ..transport.launch import Launch, launch, traces
 from ..transport.sampling import is_joint
 from ..transport.setup import Setup
-from ..transport.sums import n_numbers
+from ..transport.sums import Totals, n_numbers
 from .schedule import Round, Target
 
 # Rays per kernel launch, at most, and points or branches. For samplers other than
@@ -137,7 +139,7 @@ class Launcher:
             for one, nm in zip(planned, passes):
                 total: Any = None
                 for piece in self.pieces(one):
-                    totals = launch(replace(piece, levels=self.levels))
+                    totals = _launched(replace(piece, levels=self.levels))
                     self.levels = totals.sums.levels
                     self.size.learn(piece.rays, totals.started)
                     total = totals if total is None else total + totals
@@ -221,6 +223,19 @@ class Launcher:
             parts = tuple(min(curve.end, start + size) - curve.begin for size in sizes)
             for stretch in curve.cut(n_next):
                 yield replace(whole, sizes=parts, begin=curve.begin, curve=stretch)
+
+
+def _launched(piece: Launch) -> Totals:
+    """Totals of a launch; of the same rays again for each further derivative."""
+    gradients = piece.setup.gradients
+    if gradients is None:
+        return launch(piece)
+    each = []
+    for column, derivative in gradients.derivatives:
+        with gradients.attached(column.directions), dr.suspend_grad():
+            each.append(launch(replace(piece, derivative=derivative)))
+    gradients.unsound += sum(int(one.sums.unsound[0]) for one in each)
+    return each[0].beside(each[1:])
 
 
 def group_size(n: int, most: int) -> int:

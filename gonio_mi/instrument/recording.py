@@ -146,6 +146,11 @@ def _records(
         ]
     for record in records:
         _warn_of_created_light(record)
+    if (gradients := setups[0].gradients) and gradients.unsound:
+        warn(
+            f"the derivative of {gradients.unsound} rays was not finite or above "
+            "2**30; they count as 0 in gradients"
+        )
     if resume is not None:
         (record,) = records
         provenance = record.provenance.joined((resume.provenance, record.provenance))
@@ -211,6 +216,8 @@ def settings_and_provenance(setup: Setup) -> tuple[MeasurementSettings, Provenan
     if setup.method.integrates:
         goals = {"rel_err": settings.integral_err}
     side = "front" if setup.beam.side > 0 else "back"
+    known = setup.gradients.columns if setup.gradients else ()
+    columns = tuple(one.name for one in known)
     provenance = Provenance(
         specimen=specimen.name,
         surface=specimen.description,
@@ -222,6 +229,7 @@ def settings_and_provenance(setup: Setup) -> tuple[MeasurementSettings, Provenan
         emitter=setup.beam.emitter.class_name(),
         transport=transport_of(setup),
         choice=setup.choice,
+        columns=columns,
         sampler=sampler_name(setup.sampler),
         seeds=(settings.seed,),
         rays=settings.rays if setup.samples else 0,

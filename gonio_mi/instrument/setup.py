@@ -24,12 +24,15 @@ from ..settings import Estimator, MeasurementSettings, Order
 from ..specimen.digest import emitter_digest
 from ..specimen.loading import loaded
 from ..specimen.specimen import Specimen
-from ..specimen.wavelengths import check_covered
+from ..specimen.wavelengths import check_covered, lanes_of
 from ..transport.beam import Beam
 from ..transport.collector_sphere import CollectorSphere
+from ..transport.derivative import Lobes
+from ..transport.gradients import Gradients
 from ..transport.layers import layers_of
 from ..transport.sampling import check_sampler
 from ..transport.setup import Setup
+from ..variants import check_differentiates, check_unpolarised
 from .incidence import collimated, described_digest, emitter_scene, towards
 from .launcher import Launcher
 from .schedule import Round
@@ -71,6 +74,7 @@ def set_up(
     sampler = _loaded_sampler(settings)
     defects = _defects(specimen, settings)
     collector = _collector(specimen, settings)
+    gradients = _gradients(specimen, settings)
     described = described_digest(emitter)
     choice = None
 
@@ -100,6 +104,7 @@ def set_up(
             defects=defects,
             choice=choice,
             layers=layers_of(specimen, beam.side),
+            gradients=gradients,
         )
 
     def tried(settings: MeasurementSettings) -> Setup:
@@ -158,6 +163,41 @@ def _warn_of_finer_patches(specimen: Specimen, settings: MeasurementSettings) ->
             "these is not known",
             FinerPatchesWarning,
         )
+
+
+def _gradients(specimen: Specimen, settings: MeasurementSettings) -> Gradients | None:
+    """Parameters by which light is differentiated, once that is known to be right."""
+    if not settings.gradients:
+        return None
+    check_differentiable(specimen, settings)
+    gradients = Gradients.of_names(specimen.source, settings.gradients)
+    try_gradients(gradients, specimen, settings)
+    return gradients
+
+
+def check_differentiable(specimen: Specimen, settings: MeasurementSettings) -> None:
+    """Raise VariantError or SpecimenError where no gradient can be measured."""
+    check_unpolarised("a measurement with gradients")
+    check_differentiates("a measurement with gradients")
+    if specimen.media:
+        raise SpecimenError("gradients need a specimen without media, got one")
+    if not METHODS[settings.estimator].differentiable:
+        raise SpecimenError(
+            "gradients need the estimator weighted, next_event or quadrature, got "
+            f"{settings.estimator}"
+        )
+
+
+def try_gradients(
+    gradients: Gradients,
+    specimen: Specimen,
+    settings: MeasurementSettings,
+    known: dict[str, Lobes] | None = None,
+) -> None:
+    """Compare gradients with differences, as :meth:`.Gradients.check` does."""
+    lanes = lanes_of(settings.wavelengths)[0]
+    bsdfs = [surface.bsdf() for surface in specimen.surfaces]
+    gradients.check(bsdfs, lanes, known)
 
 
 def _defects(specimen: Specimen, settings: MeasurementSettings) -> tuple[str, ...]:

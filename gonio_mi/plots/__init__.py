@@ -1,6 +1,7 @@
 """Figures of records. matplotlib, the extra ``plot``, is imported when one is drawn."""
 
 from .figure import ANIMATION_ENDINGS, FIGURE_ENDINGS, check_picture
+from .gradients import plot_gradient
 from .plot import animation, plot, sheet
 from .polarisation import plot_mueller, plot_stokes
 
@@ -12,6 +13,7 @@ __all__ = [
     "animation",
     "check_picture",
     "plot",
+    "plot_gradient",
     "plot_mueller",
     "plot_stokes",
     "sheet",

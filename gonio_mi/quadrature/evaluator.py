@@ -16,6 +16,7 @@ from ..collector.directions import angles, direction
 from ..errors import SpecimenError
 from ..specimen.plane import repeated
 from ..specimen.scene_objects import holds_foreign_plugins
+from ..transport.derivative import Derivative
 from ..transport.surface_events import flux_context
 from .cells import (
     BLIND,
@@ -327,8 +328,10 @@ class Evaluator:
         wo = self.light.towards_sines(theta, phi, lower, self._frame(cells, number))
         direction = mi.UInt32(cells.direction.astype(np.uint32))
         si = self._interactions(dr.gather(mi.UInt32, direction, number))
-        value = self.bsdf.eval(flux_context(), si, wo, mi.Bool(True))
-        return channels_of(value), theta[0]
+        return channels_of(self._eval(si, wo)), theta[0]
+
+    def _eval(self, si: mi.SurfaceInteraction3f, wo: mi.Vector3f) -> Any:
+        return self.bsdf.eval(flux_context(), si, wo, mi.Bool(True))
 
     def _frame(self, cells: Cells, number: mi.UInt32) -> list[list[mi.Float64]] | None:
         """Frame of the cell `number` in each lane, if cells have poles of their own."""
@@ -369,6 +372,27 @@ class Evaluator:
             f"theta {np.degrees(theta):.3f}, phi {np.degrees(phi):.3f} degrees"
             f"{' in transmission' if cells.lower[cell] else ''}"
         )
+
+
+class SlopeEvaluator(Evaluator):
+    """Evaluates the derivative of a BSDF by the parameter that is attached."""
+
+    def __init__(
+        self,
+        bsdf: mi.BSDF,
+        derivative: Derivative,
+        light: IncidentLight,
+        axes: Floats | None,
+    ) -> None:
+        super().__init__(bsdf, light, axes)
+        self.derivative = derivative
+
+    def _eval(self, si: mi.SurfaceInteraction3f, wo: mi.Vector3f) -> Any:
+        return self.derivative.of_eval(self.bsdf, si, wo, mi.Bool(True))[0]
+
+    def _check(self, values: Singles, cells: Cells, points: Points) -> None:
+        """Raise SpecimenError for a value that is not finite."""
+        super()._check(np.abs(values), cells, points)
 
 
 def _pieces(n: int) -> list[slice]:

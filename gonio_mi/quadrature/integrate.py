@@ -13,8 +13,14 @@ import numpy as np
 from ..array_types import Flags, Floats, Integers, Numbers, Singles
 from ..collector import Subdivision
 from ..errors import SpecimenError
+from ..transport.derivative import Derivative
 from .cells import NODES_PER_CELL, QUARTERS, Cells, way_to_split
-from .evaluator import INTEGRAL_ROUNDING, Evaluator, IncidentLight
+from .evaluator import (
+    INTEGRAL_ROUNDING,
+    Evaluator,
+    IncidentLight,
+    SlopeEvaluator,
+)
 
 # Guides that a cell may hold before it is split unseen.
 MAX_GUIDES = 8
@@ -136,6 +142,34 @@ class PatchIntegrals:
         theta, phi, lower, weight = self.cells.nodes()
         patch = np.repeat(self.cells.patch, NODES_PER_CELL)
         return Rule(self.subdivision, patch, theta, phi, lower, weight, self.light)
+
+    def slopes(self, bsdf: mi.BSDF, derivative: Derivative) -> tuple[Floats, Floats]:
+        """Derivatives of the flux by the parameter that is attached, on the same cells.
+
+        Returns
+        -------
+        slopes, errors : ndarray, shaped like `flux`
+            The errors are the differences from cells cut in four, added up as if none
+            cancelled.
+        """
+        axes = self.subdivision.axes
+        evaluator = SlopeEvaluator(bsdf, derivative, self.light, axes)
+        cells, shape = self.cells, self.flux.shape
+        coarse, _ = evaluator.integrals(cells)
+        fine, _ = evaluator.integrals(cells.split(np.full(len(coarse), QUARTERS)))
+        fine = fine.reshape(len(coarse), 4, -1).sum(axis=1)
+        wrong = np.abs(fine - coarse) + INTEGRAL_ROUNDING * np.abs(fine)
+        slopes, errors = np.zeros((2, *shape))
+        for number in range(shape[-1]):
+            for array, of_cells in ((slopes, fine), (errors, wrong)):
+                flat = np.bincount(
+                    cells.patch, of_cells[:, number], slopes[..., 0].size
+                )
+                array[..., number] = flat.reshape(shape[:-1])
+        if axes is not None:  # the last patch as of `flux`
+            slopes[:, -1] -= slopes[:, :-1].sum(axis=1)
+            errors[:, -1] += errors[:, :-1].sum(axis=1)
+        return slopes, errors
 
 
 def integrate(

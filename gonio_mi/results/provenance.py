@@ -23,7 +23,7 @@ Settings = Mapping[str, Any]
 REPORTED = (
     *("estimator", "points", "footprint", "divergence", "incident", "emission"),
     *("max_depth", "max_scatterings", "rr_depth", "period", "order", "side"),
-    *("collector_radius", "rel_err", "noise", "floor"),
+    *("collector_radius", "rel_err", "noise", "floor", "gradients"),
 )
 
 # Settings in which records may differ and still be stacked or merged. An emitter that
@@ -177,6 +177,9 @@ class Provenance:
         Of the precision that was asked for, in the worst incident direction.
     n_lobe, paper_rays : int
         Patches worth reporting, and the rays that the paper's bound asks for.
+    columns : tuple of str
+        Numbers of parameters by which values were differentiated, ``name`` or
+        ``name[i]``.
     campaign : CampaignOutcome
         How the directions were chosen, and how right the material is.
     task : mapping
@@ -208,6 +211,7 @@ class Provenance:
     reached: float | None = None
     n_lobe: int | None = None
     paper_rays: int | None = None
+    columns: tuple[str, ...] = ()
     campaign: CampaignOutcome | None = None
     task: Mapping[str, Any] | None = None
 
@@ -323,6 +327,7 @@ def reported_names(asked: MeasurementSettings, provenance: Provenance) -> list[s
         "max_scatterings": not provenance.media,
         "rel_err": asked.rel_err is None,
         "noise": asked.noise is None,
+        "gradients": not asked.gradients,
         "floor": provenance.n_lobe is None,
     }
     return [name for name in REPORTED if not without_effect.get(name)]
@@ -345,7 +350,7 @@ def settings_mapping(
     seeds = own.pop("seeds")
     if seeds:
         own["seed"] = seeds[0] if len(seeds) == 1 else list(seeds)
-    for name in ("media", "defects", "processors"):
+    for name in ("media", "defects", "processors", "columns"):
         own[name] = list(own[name])
     if provenance.campaign is not None:
         own["campaign"] = provenance.campaign.as_mapping()

@@ -17,6 +17,7 @@ from ..array_types import Floats
 from ..errors import SettingError, SettingTypeError, abridged, printable, shown
 from ..settings import MeasurementSettings
 from ..settings.measurement_settings import MAX_RAYS
+from .gradients import Differentiated
 from .patch_means import PatchMeans
 from .provenance import (
     FREE_WHEN_MERGED,
@@ -39,7 +40,7 @@ MAX_SHOWN = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Record(MeasuredValues):
+class Record(MeasuredValues, Differentiated):
     """What the collector received, at one incident direction or a stack of them.
 
     Only exact sums are stored; everything else is derived. For a stack all arrays have

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from .gradients import Slope, slopes_of
 from .planning import patch_values, precision, relative_errors
 from .record import Record
 from .tally import Ledger, grouped, holds_integrals
@@ -76,6 +77,8 @@ class DirectionSummary:
         the hits of all, and those that reach a tenth of the mean.
     rel_err_lobe : float or None
         Largest relative standard error of the latter.
+    gradients : list of Slope
+        Of the totals.
     """
 
     theta_i: float | None
@@ -89,6 +92,7 @@ class DirectionSummary:
     n_pooled: int
     n_lobe: int
     rel_err_lobe: float | None
+    gradients: list[Slope]
 
     @property
     def totals(self) -> list[tuple[str, Total]]:
@@ -222,6 +226,7 @@ def _direction(look: Record) -> DirectionSummary:
         n_pooled=int(np.sum(look.pooled)),
         n_lobe=n_lobe,
         rel_err_lobe=_known(worst),
+        gradients=slopes_of(look, LEVEL),
     )
 
 

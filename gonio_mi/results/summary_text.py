@@ -63,6 +63,8 @@ def summary_text(
         _ledger_text(summary),
         _patches_text(summary),
     ]
+    if summary.record.provenance.columns:
+        blocks.insert(2, _slopes_text(summary, most_rows))
     if stokes is not None or summary.record.polarised:
         vector = (1.0, 0.0, 0.0, 0.0) if stokes is None else stokes
         blocks.insert(2, _stokes_text(summary.record, vector, most_rows))
@@ -180,6 +182,27 @@ def _totals_text(summary: Summary, most_rows: int) -> str:
         text += "that no ray may have met it"
         said += f"\n{_filled('', text)}"
     return "\n".join(lines) + said
+
+
+def _slopes_text(summary: Summary, most_rows: int) -> str:
+    """Derivatives of the totals by parameters, with their intervals."""
+    level = f"{LEVEL:.0%} "
+    header = ["theta_i", "phi_i", "of", "channel", "by", "derivative", "std_err"]
+    rows = [
+        [_angle(one.theta_i), _angle(one.phi_i), own.of, own.channel, own.by]
+        + [
+            f"{math.nan if x is None else x:.{digits}g}"
+            for x, digits in zip(
+                (own.value, own.std_err, own.low, own.high), (6, 2, 6, 6)
+            )
+        ]
+        for one in summary.directions
+        for own in one.gradients
+    ]
+    text = aligned([*header, level + "low", level + "high"], rows[:most_rows])
+    if len(rows) > most_rows:
+        text += f"\n... {len(rows) - most_rows} rows are left out: show --all has them"
+    return text
 
 
 def _extremes(rows: Sequence[Sequence[str]], totals: Sequence[Total]) -> list[int]:

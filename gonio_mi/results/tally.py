@@ -404,6 +404,42 @@ class PolarisedTally(Tally):
         )
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class DifferentiatedTally(Tally):
+    """Sums, and their derivatives by parameters: what rays gain, and what they lose.
+
+    Attributes
+    ----------
+    changes : ndarray of float64
+        Gains and losses by one number of a parameter after the other, none negative, in
+        the unit of the tally, of shape
+        ``(n_batches, n_hemispheres, n_theta, n_phi, 2 n, channels)``.
+    """
+
+    arrays: ClassVar[tuple[str, ...]] = (*Tally.arrays, "changes")
+    of_channels: ClassVar[tuple[str, ...]] = (*Tally.of_channels, "changes")
+    of_patches: ClassVar[tuple[str, ...]] = (*Tally.of_patches, "changes")
+
+    changes: Floats = field(kw_only=True)
+
+    def added_up(self) -> Tally:
+        """Without derivatives."""
+        arrays = {name: getattr(self, name) for name in Tally.arrays}
+        return Tally(**arrays, scale=self.scale).added_up()
+
+    def parts(self, columns: slice) -> Tally:
+        """Tally of gains and losses as fluxes, channels first, of some columns."""
+        flux = np.swapaxes(self.changes[..., columns, :], -1, -2)
+        flux = flux.reshape(*self.sums.shape[:-1], -1)
+        each = flux.shape[-1] // self.channels
+        incident, direct = (
+            np.repeat(x, each, axis=-1) for x in (self.incident, self.direct)
+        )
+        return Tally(
+            self.hits, flux, incident, self.fates, self.scale, direct=0 * direct
+        )
+
+
 def as_matrices(elements: Floats) -> Floats:
     """Matrices ``(..., channels, 4, 4)`` of elements ``(..., 16, channels)``."""
     swapped = np.swapaxes(elements, -1, -2)
@@ -455,6 +491,24 @@ class Integrals(Tally):
         arrays["sums"] = arrays["sums"] + flux * per_batch
         errors = errors * per_batch.max(axis=0)
         return cls(**arrays, scale=sampled.scale, errors=errors)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DifferentiatedIntegrals(Integrals):
+    """Integrals of one batch, with their derivatives by parameters.
+
+    Attributes
+    ----------
+    changes : ndarray of float64
+        Derivatives of flux fractions by one number of a parameter after the other, each
+        followed by what it may be wrong by, of the shape
+        ``(1, n_hemispheres, n_theta, n_phi, 2 n, channels)``.
+    """
+
+    arrays: ClassVar[tuple[str, ...]] = (*Integrals.arrays, "changes")
+    of_channels: ClassVar[tuple[str, ...]] = (*Integrals.of_channels, "changes")
+
+    changes: Floats = field(kw_only=True)
 
 
 def holds_integrals(tallies: Sequence[Tally]) -> bool:

@@ -20,6 +20,7 @@ class Kind(Enum):
     WORD = "str", "|string|"
     WORD_OR_NUMBER = "str or float", "|string| or |float|"
     NUMBERS = "sequence of float", "|string|"
+    WORDS = "sequence of str", "|string|"
     FLAG = "bool", "|bool|"
 
     @property

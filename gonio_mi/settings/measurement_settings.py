@@ -17,6 +17,7 @@ from .values import (
     checked_flag,
     checked_footprint,
     checked_incident,
+    checked_names,
     checked_period,
     checked_wavelengths,
     choice,
@@ -193,6 +194,19 @@ class MeasurementSettings:
         "each costs a fraction of a ray. For maps of diffuse facets, use as many as "
         "there are patches, and few rays.",
         group=METHOD,
+    )
+    gradients: tuple[str, ...] = setting(
+        (),
+        checked_names,
+        Kind.WORDS,
+        "Parameters of BSDFs and textures by which the values are differentiated, as "
+        "`mi.traverse` names them: at most 8 numbers each. Each number takes about as "
+        "long as the measurement.",
+        group=METHOD,
+        metavar="NAME",
+        text=list,
+        shown_default="none",
+        plugin=None,
     )
     sampler: Any = setting(
         None,

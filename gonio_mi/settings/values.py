@@ -92,6 +92,18 @@ def checked_flag(label: str, value: object) -> bool:
     return bool(value)
 
 
+def checked_names(label: str, value: object) -> tuple[str, ...]:
+    """Names, from a sequence of them or a text with commas; each once."""
+    words: Any = value.split(",") if isinstance(value, str) else value
+    try:
+        names = tuple(dict.fromkeys(one.strip() for one in words))
+    except (TypeError, AttributeError):
+        names = ("",)
+    if not all(names):
+        raise SettingError(f"{label} must be names, got {shown(value)}")
+    return names
+
+
 def checked_footprint(label: str, value: object) -> str | float:
     """Return ``"point"``, ``"full"`` or the radius of a disk as a float."""
     if isinstance(value, str) and value in ("point", "full"):

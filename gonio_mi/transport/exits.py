@@ -40,6 +40,8 @@ class Exits:
         estimators but `next_event`.
     flight : Flight
         Of rays that were cut off: towards what they met.
+    change : mi.Spectrum
+        Derivative of the throughput by a parameter; None where none is asked for.
     over_the_edge : mi.Bool
         Whether they passed a side of a free-standing specimen's bounding box; None
         where there is none.
@@ -55,6 +57,7 @@ class Exits:
     density: Any = None
     flight: Any = None
     over_the_edge: Any = None
+    change: Any = None
 
 
 def exits_of(

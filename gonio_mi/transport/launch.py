@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -15,7 +16,9 @@ from ..results.provenance import FACETS
 from ..settings.values import UNLIMITED
 from .beam import Beam
 from .curve import Curve
+from .derivative import Adjoint, Derivative, Lobes, Noted, sent_back
 from .exits import Exits, of_order
+from .polarisation import n_channels
 from .sampling import (
     Relay,
     continues,
@@ -57,6 +60,8 @@ class Launch:
         Light that is known without rays, of the setup's method.
     levels : range
         Of rare powers that there is room for: what was met so far.
+    derivative : Derivative, optional
+        By the parameter that is attached.
     """
 
     setup: Setup
@@ -69,6 +74,7 @@ class Launch:
     curve: Curve | None = None
     control: Any = None
     levels: range = range(0)
+    derivative: Derivative | None = None
 
     @property
     def rays(self) -> int:
@@ -96,17 +102,7 @@ def launch(one: Launch) -> Totals:
     while True:
         known = None if one.control is None else one.control.flux
         sums = Sums(setup, levels, one.capacity, known)
-        sampler = seeded(setup.sampler, one.keys, one.begin, lanes)
-        if one.curve is not None:
-            batch, ray = sampler.follow(one.curve)
-        else:
-            # as many lanes as rays, even where none of them draws a number
-            lane = dr.arange(mi.UInt32, len(sizes) * lanes)
-            alone = one.capacity == 1
-            batch, ray = (mi.UInt32(0), lane) if alone else split_lanes(lane, lanes)
-        # the last batches may be shorter by one ray
-        full = dr.opaque(mi.UInt32, sizes.count(sizes[0]))
-        size = dr.opaque(mi.UInt32, sizes[0]) - dr.select(batch < full, mi.UInt32(0), 1)
+        sampler, batch, ray, size = _wavefront(one, lanes)
         rays = LaunchedRays(one, sums, batch, size)
         if inside:
             rays.relay(sampler, ray, sizes[0])
@@ -121,6 +117,75 @@ def launch(one: Launch) -> Totals:
         # fainter or brighter light than there was room for: once more, with room for it
         levels = sums.lacking
     return sums.totals(len(sizes))
+
+
+def _wavefront(
+    one: Launch, lanes: int
+) -> tuple[mi.Sampler, mi.UInt32, mi.UInt32, mi.UInt32]:
+    """Sampler of all lanes; of each its batch, its ray, and the rays of the batch."""
+    sizes = one.sizes
+    sampler = seeded(one.setup.sampler, one.keys, one.begin, lanes)
+    if one.curve is not None:
+        batch, ray = sampler.follow(one.curve)
+    else:
+        # as many lanes as rays, even where none of them draws a number
+        lane = dr.arange(mi.UInt32, len(sizes) * lanes)
+        alone = one.capacity == 1
+        batch, ray = (mi.UInt32(0), lane) if alone else split_lanes(lane, lanes)
+    # the last batches may be shorter by one ray
+    full = dr.opaque(mi.UInt32, sizes.count(sizes[0]))
+    size = dr.opaque(mi.UInt32, sizes[0]) - dr.select(batch < full, mi.UInt32(0), 1)
+    return sampler, batch, ray, size
+
+
+def send_back(one: Launch, lobes: Lobes, loss: mi.Float) -> float:
+    """Send what a loss makes of patches back to the parameters that are attached.
+
+    Traced rays go twice: for what they bring, and for what their events have of it,
+    since no derivative goes backward through a loop of unknown length.
+
+    Parameters
+    ----------
+    one : Launch
+    lobes : Lobes
+    loss : mi.Float
+        Derivative of the loss by what a ray adds to each patch and channel.
+
+    Returns
+    -------
+    float
+        When the last kernel began to run, by ``time.perf_counter``.
+    """
+    setup, n = one.setup, n_channels()
+    lanes = one.sizes[0]
+    if len(one.sizes) * lanes == 1:
+        lanes = 2  # as of a launch
+    noted = None if traces(setup) else Noted()
+    exits, bins, active = _arrived(replace(one, derivative=noted), lanes)
+    light = mi.UnpolarizedSpectrum(exits.throughput)
+    for channel in range(n):
+        own = dr.gather(mi.Float, loss, bins * n + channel, active)
+        light[channel] = dr.select(active, light[channel] * own, 0)
+    adjoint = Adjoint(lobes, light)
+    if noted is not None:
+        dr.eval(sent_back(adjoint, noted.event, dr.width(bins)))
+    else:
+        dr.eval(light)
+        exits, _, _ = _arrived(replace(one, derivative=adjoint), lanes)
+        dr.eval(exits.fate)
+    started = time.perf_counter()
+    dr.sync_thread()
+    return started
+
+
+def _arrived(one: Launch, lanes: int) -> tuple[Exits, mi.UInt32, mi.Bool]:
+    """Exits of the rays of a launch, their bins, and which are collected in patches."""
+    setup = one.setup
+    sampler, batch, ray, size = _wavefront(one, lanes)
+    path = LaunchedRays(one, None, batch, size).path  # type: ignore[arg-type]
+    exits = of_order(path()(sampler), setup.order)
+    bins = setup.bins(exits)
+    return exits, bins, (ray < size) & (bins < setup.n_collected)
 
 
 def traces(setup: Setup) -> bool:
@@ -162,7 +227,7 @@ class LaunchedRays:
     ) -> None:
         self.setup, self.wavelengths = one.setup, one.wavelengths
         self.sums, self.batch, self.size = sums, batch, size
-        self.control = one.control
+        self.control, self.derivative = one.control, one.derivative
         self.beam = one.setup.beam
         if one.beams:
             several = len(one.sizes) // len(one.beams)
@@ -179,6 +244,7 @@ class LaunchedRays:
         """
         setup, light = self.setup, self.wavelengths
         how, specimen = path_settings(setup), setup.specimen
+        how = replace(how, derivative=self.derivative)
         if max_depth is not None:
             how = replace(how, max_depth=max_depth)
         told: dict[str, Any] = {"wavelengths": light, "settings": how}

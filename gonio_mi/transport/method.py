@@ -44,6 +44,8 @@ class Method:
         Whether incident directions share random points, and with them their chance.
     task : int or None
         Incident directions of a campaign's task; None where their rays tell.
+    differentiable : bool
+        Whether light may be followed as it changes with parameters.
     levels : range
         Of rare powers, that sums have room for at first.
     """
@@ -57,6 +59,7 @@ class Method:
     shares_points = False
     together: int | None = None
     task: int | None = None
+    differentiable = True
     levels = USUAL_LEVELS
 
     # ------------------------------------------------------------------- before rays

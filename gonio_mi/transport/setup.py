@@ -64,6 +64,8 @@ class Setup:
         Why this estimator, if it was left to `auto`.
     layers : Layers, optional
         Where all that rays meet are infinite layers.
+    gradients : Gradients, optional
+        Parameters by which light is differentiated.
     radii : mi.Float, optional
         Ring `i` collects what leaves between ``radii[i - 1]`` and ``radii[i]`` from the
         middle of the footprint, whatever the direction; the first ring what is nearer
@@ -84,6 +86,7 @@ class Setup:
     choice: str | None = None
     layers: Layers | None = None
     radii: Any = None
+    gradients: Any = None
 
     def turned(self, beam: Beam, incident: tuple[float, float]) -> Setup:
         """The same setup for another direction of its collimated beam."""

@@ -10,6 +10,7 @@ sorted by eight exponents at a time into levels, each with a unit of its own.
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from typing import Any
@@ -19,10 +20,17 @@ import mitsuba as mi
 import numpy as np
 
 from ..array_types import Flags, Floats, Integers
-from ..results.tally import WEIGHT_SCALE, Fate, PolarisedTally, Tally
+from ..results.tally import (
+    WEIGHT_SCALE,
+    DifferentiatedTally,
+    Fate,
+    PolarisedTally,
+    Tally,
+)
 from .exits import Exits
 from .polarisation import n_channels, n_elements, other_elements, power_of
 from .setup import Setup
+from .surface_events import MAX_POWER
 
 # An ordinary power of 1, and the biased exponents of ordinary powers.
 UNIT = -36
@@ -32,14 +40,15 @@ LOWEST, N_ORDINARY = 114, 16
 # Levels of all numbers but infinity and those below 2**-126.
 LEVELS = 32
 
-# Units, as exponents of two, to whole numbers of which the elements of Mueller matrices
-# beside the first are rounded: of faint, ordinary and bright light, and from which size
-# of the largest element on the next unit holds. 2**24 of them stay below 2**63.
-ELEMENT_UNITS = (-60, -36, -9)
-ELEMENT_STEPS = (2.0**-21, 2.0**3)
+# Units, as exponents of two, to whole numbers of which signed columns are rounded: of
+# faint, ordinary and bright light, and from which size of the largest column on the
+# next unit holds. 2**24 of them stay below 2**63.
+COLUMN_UNITS = (-60, -36, -9)
+COLUMN_STEPS = (2.0**-21, 2.0**3)
 
-# Whole numbers that each bin has for the 15 elements of a channel: a power of two.
-ELEMENT_WIDTH = 16
+# Numbers that each bin has for the columns of a channel, a power of two: for the 15
+# elements of a matrix, and for a gain and a loss.
+ELEMENT_WIDTH, CHANGE_WIDTH = 16, 2
 
 
 class Digits:
@@ -105,6 +114,15 @@ class Exact:
             total._words[unit] = words
         return total
 
+    @classmethod
+    def beside(cls, several: Sequence[Exact], axis: int) -> Exact:
+        """Those of one set of units, one after the other along an axis."""
+        joined = cls({})
+        for unit in several[0]._words:
+            each = zip(*(_halves(one._words[unit]) for one in several))
+            joined._words[unit] = tuple(np.concatenate(word, axis) for word in each)
+        return joined
+
     def total(self, among: Flags) -> Exact:
         """Sum over those along the first axis that are `among` them."""
         total, (some,) = Exact({}), np.nonzero(among)
@@ -166,8 +184,8 @@ class Sums:
     `deposit` adds, and the rays are in the bins of their fates. Direct light is in the
     bin of its fate as well, with its power.
 
-    In polarised variants the other elements of Mueller matrices are added up in bins
-    of their own.
+    Signed columns are added up in bins of their own: in polarised variants the other
+    elements of Mueller matrices; or what light gains and loses with a parameter.
 
     Powers beyond the ordinary are added up by themselves, in the levels that there is
     room for. What other levels there were is known once the kernel has run.
@@ -212,11 +230,16 @@ class Sums:
         self.met = dr.zeros(mi.UInt32, LEVELS)
         n_incident = 0 if setup.beam.uniform else self.channels * n_batches
         self.incident = dr.zeros(mi.Int64, LEVELS * n_incident)
-        self.elements: Any = None
-        if n_elements():
-            n_units = len(ELEMENT_UNITS) * self.channels * n_batches
-            size = n_units * setup.n_collected * ELEMENT_WIDTH
-            self.elements = dr.zeros(mi.Int64, size)
+        # rays whose derivative is no number
+        self.unsound = dr.zeros(mi.UInt32, 1)
+        self.columns: Any = None
+        # of gains and losses none is negative
+        self.n_columns = n_elements() if setup.gradients is None else CHANGE_WIDTH
+        self.column_width = ELEMENT_WIDTH if n_elements() else self.n_columns
+        if self.n_columns:
+            n_units = len(COLUMN_UNITS) * self.channels * n_batches
+            size = n_units * setup.n_collected * self.column_width
+            self.columns = dr.zeros(mi.Int64, size)
 
     def add(
         self, bins: mi.UInt32, exits: Exits, active: mi.Bool, batch: mi.UInt32
@@ -226,7 +249,7 @@ class Sums:
         direct = exits.fate == mi.UInt32(Fate.DIRECT)
         if self.deposits:
             bins = self.setup.fate_bins(bins, direct)
-        self.deposit(bins, exits.throughput, active, batch)
+        self.deposit(bins, exits.throughput, active, batch, change=exits.change)
         if self.setup.specimen.periodic and not self.deposits:
             twice = active & direct & (bins < self.setup.n_collected)
             bins = mi.UInt32(self.setup.n_collected + Fate.DIRECT)
@@ -253,14 +276,22 @@ class Sums:
         active: mi.Bool,
         batch: mi.UInt32,
         sign: int = 1,
+        change: mi.Spectrum | None = None,
     ) -> None:
         """Scatter light per lane to a patch or to DIRECT, or one lane to its fate.
 
-        By a `sign` of -1 it is taken off.
+        By a `sign` of -1 it is taken off. `change` is its derivative by a parameter.
         """
         power = power_of(light)
-        if self.elements is not None:
-            self._add_elements(bins, light, active, batch)
+        if self.columns is not None and change is not None:
+            sound = dr.max(dr.abs(change)) <= MAX_POWER  # false for NaN
+            wrong = active & (bins < self.setup.n_collected) & ~sound
+            _scatter_add(self.unsound, mi.UInt32(1), mi.UInt32(0), wrong)
+            parts = [dr.maximum(change, 0), dr.maximum(-change, 0)]
+            self._add_columns(bins, parts, active & sound, batch)
+        elif self.columns is not None and n_elements():
+            columns, size = other_elements(light), dr.abs(power)
+            self._add_columns(bins, columns, active, batch, size)
         collected = bins < self.setup.n_collected
         collected |= bins == self.setup.n_collected + Fate.DIRECT
         if self.counted:
@@ -278,27 +309,32 @@ class Sums:
         bins = bins + batch * self.setup.n_bins
         _scatter_add(self.bins, mi.ArrayXi64(packet), bins, active)
 
-    def _add_elements(
-        self, bins: mi.UInt32, light: mi.Spectrum, active: mi.Bool, batch: mi.UInt32
+    def _add_columns(
+        self,
+        bins: mi.UInt32,
+        columns: Sequence[mi.UnpolarizedSpectrum],
+        active: mi.Bool,
+        batch: mi.UInt32,
+        least: mi.UnpolarizedSpectrum | None = None,
     ) -> None:
-        """Scatter the other elements of Mueller matrices to patches."""
-        elements = other_elements(light)
+        """Scatter signed columns to patches, in a unit for sizes of at `least` that."""
         active = active & (bins < self.setup.n_collected)
         for channel in range(self.channels):
-            several = [one[channel] for one in elements]
-            sizes = map(dr.abs, [*several, power_of(light)[channel]])
+            several = [one[channel] for one in columns]
+            sizes = [
+                *map(dr.abs, several),
+                *([] if least is None else [least[channel]]),
+            ]
             size = reduce(dr.maximum, sizes)
-            level, unit = mi.UInt32(0), mi.Float(2.0 ** -ELEMENT_UNITS[0])
-            for number, step in enumerate(ELEMENT_STEPS, 1):
+            level, unit = mi.UInt32(0), mi.Float(2.0 ** -COLUMN_UNITS[0])
+            for number, step in enumerate(COLUMN_STEPS, 1):
                 level = dr.select(size >= step, mi.UInt32(number), level)
-                unit = dr.select(size >= step, 2.0 ** -ELEMENT_UNITS[number], unit)
+                unit = dr.select(size >= step, 2.0 ** -COLUMN_UNITS[number], unit)
             place = (level * self.channels + channel) * self.n_batches + batch
             place = place * self.setup.n_collected + bins
             packet = [mi.Int64(dr.round(one * unit)) for one in several]
-            packet += [mi.Int64(0)] * (ELEMENT_WIDTH - len(packet))
-            _scatter_add(
-                self.elements, mi.ArrayXi64(packet), place, active & (size > 0)
-            )
+            packet += [mi.Int64(0)] * (self.column_width - len(packet))
+            _scatter_add(self.columns, mi.ArrayXi64(packet), place, active & (size > 0))
 
     def _add_rare(
         self,
@@ -322,7 +358,8 @@ class Sums:
 
     def evaluate(self) -> None:
         """Compile the kernel and let it run."""
-        dr.eval(self.bins, self.incident, self.rare, self.met, self.elements)
+        sums = self.bins, self.incident, self.rare, self.met
+        dr.eval(*sums, self.columns, self.unsound)
         self.started = time.perf_counter()
 
     @property
@@ -356,14 +393,14 @@ class Sums:
             incident = Exact(
                 {unit_of(i): sums[:, :n_batches] for i, sums in enumerate(levels)}
             )
-        elements = None
-        if self.elements is not None:
-            shape = len(ELEMENT_UNITS), self.channels, *by_class
-            units = self.elements.numpy().reshape(*shape, -1, ELEMENT_WIDTH)
+        columns = None
+        if self.columns is not None:
+            shape = len(COLUMN_UNITS), self.channels, *by_class
+            units = self.columns.numpy().reshape(*shape, -1, self.column_width)
             # channels last
-            units = np.moveaxis(units[:, :, :, :n_batches, :, :-1], 1, -1)
-            elements = Exact(dict(zip(ELEMENT_UNITS, units)))
-        return Totals(self, rays, Exact(numbers), incident, elements)
+            units = units[:, :, :, :n_batches, :, : self.n_columns]
+            columns = Exact(dict(zip(COLUMN_UNITS, np.moveaxis(units, 1, -1))))
+        return Totals(self, rays, Exact(numbers), incident, columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -379,15 +416,16 @@ class Totals:
     incident : Exact, shape (n_classes, n_batches, channels), or None
         None for a beam of uniform power, which needs no sum of it: every ray that met
         the specimen carried the power 1.
-    elements : Exact, shape (n_classes, n_batches, n_collected, 15, channels), or None
-        Those of Mueller matrices but the first, in polarised variants.
+    columns : Exact, shape (n_classes, n_batches, n_collected, n, channels), or None
+        Signed ones: elements of Mueller matrices but the first, in polarised variants;
+        or gains and losses with each parameter in turn.
     """
 
     sums: Sums
     rays: Integers
     flux: Exact
     incident: Exact | None
-    elements: Exact | None
+    columns: Exact | None
 
     @property
     def started(self) -> float:
@@ -395,11 +433,18 @@ class Totals:
         return self.sums.started
 
     def __add__(self, other: Totals) -> Totals:
-        names = ("rays", "flux", "incident", "elements")
+        names = ("rays", "flux", "incident", "columns")
         pairs = {name: (getattr(self, name), getattr(other, name)) for name in names}
         return replace(
             self, **{name: a + b for name, (a, b) in pairs.items() if a is not None}
         )
+
+    def beside(self, others: Sequence[Totals]) -> Totals:
+        """With the columns of `others`, of the same rays, behind its own."""
+        if not others:
+            return self
+        each = [one.columns for one in (self, *others) if one.columns is not None]
+        return replace(self, columns=Exact.beside(each, axis=-2))
 
     @cached_property
     def emitted(self) -> int:
@@ -479,14 +524,14 @@ class Totals:
             }
             for i in range(n)
         ]
-        if self.elements is None:
+        if self.columns is None:
             return [Tally(**one) for one in found]
-        elements = self.elements.total(within).powers(scale)
-        elements = elements.reshape(*power.shape[:-1], *elements.shape[-2:])
-        return [
-            PolarisedTally(**one, elements=elements[i::n])
-            for i, one in enumerate(found)
-        ]
+        columns = self.columns.total(within).powers(scale)
+        columns = columns.reshape(*power.shape[:-1], *columns.shape[-2:])
+        each = enumerate(found)
+        if setup.gradients is None:
+            return [PolarisedTally(**one, elements=columns[i::n]) for i, one in each]
+        return [DifferentiatedTally(**one, changes=columns[i::n]) for i, one in each]
 
 
 def packet_width() -> int:
@@ -495,8 +540,11 @@ def packet_width() -> int:
 
 
 def n_numbers() -> int:
-    """Numbers of a bin in all, those of Mueller matrices among them."""
-    of_elements = len(ELEMENT_UNITS) * ELEMENT_WIDTH * n_channels()
+    """Numbers of a bin in all, those of Mueller matrices among them.
+
+    Not those of gradients, with which batches share launches as they do without.
+    """
+    of_elements = len(COLUMN_UNITS) * ELEMENT_WIDTH * n_channels()
     return packet_width() + (of_elements if n_elements() else 0)
 
 

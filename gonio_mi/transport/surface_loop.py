@@ -37,6 +37,7 @@ class PathSettings:
     delta_only: bool = False  # on a plane: all else is integrated
     max_scatterings: int = 0  # inside of media
     roulette: bool = False  # as `rr_depth` says; without, media have one of their own
+    derivative: Any = None  # by the parameter that is attached
 
 
 def scatter_plane(
@@ -73,7 +74,12 @@ def scatter_plane(
     fate = dr.select(lit, fate, mi.UInt32(Fate.UNLIT))
     incident = dr.select(inside & lit, power, 0.0)
     depth = dr.select(inside & lit, mi.UInt32(1), 0)
-    return Exits(p, wo, throughput, fate, incident, depth)
+    exits = Exits(p, wo, throughput, fate, incident, depth)
+    if settings.derivative is not None:
+        sampled, active = (bs, bsdf_weight), lit & inside
+        slope = settings.derivative.of_event(plane.bsdf, si, u1, u2, sampled, active)
+        exits.change = throughput * slope
+    return exits
 
 
 @dr.syntax
@@ -110,6 +116,8 @@ def trace(
     left = mi.Point3f(0)  # Where the last of them was
     density = mi.Float(dr.inf)  # Of the direction that it chose
     active = mi.Bool(lit)  # Still in flight?
+    derivative = settings.derivative
+    slope = None if derivative is None else mi.Spectrum(0)  # logarithmic derivative
 
     # to which of the faces at an edge a ray goes depends on its packet: all of a point
     # may, and packets must be the same however rays are shared among launches
@@ -133,7 +141,8 @@ def trace(
 
         bsdf = si.bsdf(ray)
         if deposits is not None and deposits.scatters:
-            sound = deposits.add(si, bsdf, flight, β, depth, sampler, active)
+            told = si, bsdf, flight, β, depth, sampler, active
+            sound = deposits.add(*told, slope)
             fate[active & ~sound] = mi.UInt32(Fate.INVALID)
             active &= sound
         if facets is not None and facets.once:
@@ -142,6 +151,9 @@ def trace(
         # ------------------------------- Scattering -----------------------------------
         u1, u2 = sampler.next_1d(active), sampler.next_2d(active)
         bs, bsdf_weight, wo = scattered(bsdf, si, ray, u1, u2, active)
+        if derivative is not None:
+            sampled = bs, bsdf_weight
+            slope += derivative.of_event(bsdf, si, u1, u2, sampled, active)
         another, numbers = survival_numbers(sampler, analog, active)
         event_β, event_fate = after_event(β, bsdf_weight, bs, wo, numbers)
         β[active] = event_β
@@ -165,6 +177,8 @@ def trace(
         active |= met.goes_on
 
     exits = exits_of(specimen, flight, β, fate, incident, depth)
+    if derivative is not None:
+        exits.change = β * slope
     if deposits is not None:
         exits.left, exits.density = left, density
     return exits

@@ -5,8 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 import mitsuba as mi
+import numpy as np
 
+from gonio_mi.array_types import Floats
 from gonio_mi.errors import SpecimenError
+from gonio_mi.instrument.differentiation import (
+    backward,
+    follows_parameters,
+    forward,
+)
 from gonio_mi.instrument.measure import send_all
 from gonio_mi.instrument.recording import records_of
 from gonio_mi.instrument.setup import set_up
@@ -24,7 +31,9 @@ class Goniophotometer(mi.SamplingIntegrator):
     Sends light from the scene's one emitter to the specimen (every shape that does not
     emit) and tallies each ray in the patches of a :monosp:`collector` sensor with a
     :monosp:`patches` film. ``mi.render(scene)`` returns the film's map;
-    ``mi.render(scene, spp=n)`` measures with ``n`` rays instead of `rays`.
+    ``mi.render(scene, spp=n)`` measures with ``n`` rays instead of `rays`. The map of
+    ``mi.render(scene, params)`` follows parameters of BSDFs and textures, forward and
+    backward.
 
     .. pluginparameters::
 
@@ -47,6 +56,8 @@ class Goniophotometer(mi.SamplingIntegrator):
         check_variant(is_parallel)
         self.settings = MeasurementSettings.from_properties(props, INTEGRATOR)
         super().__init__(props)
+        # of each scene, by parameter: what delta lobes follow
+        self._rules: dict[int, dict[str, Any]] = {}
 
     @launches_kernels(is_parallel)
     def render(
@@ -60,6 +71,60 @@ class Goniophotometer(mi.SamplingIntegrator):
     ) -> mi.TensorXf:
         """Measure; see the class. The film keeps the record, after Ctrl-C too."""
         del evaluate
+        sensor, settings = self._asked(scene, sensor, seed, spp)
+        setups = set_up(Specimen(scene, settings.period), settings)
+        finished: list[list[Tally]] = [[]]
+        (stack,) = records_of(setups, finished, send_all(setups, finished))
+        sensor.film().record = stack[0]
+        if stack.provenance.interrupted:
+            raise KeyboardInterrupt
+        if not develop:
+            return None
+        rows = sensor.film().develop()
+        # a grey map may become one of colours
+        return of_colours(rows) if mi.is_rgb and follows_parameters(scene) else rows
+
+    @launches_kernels(is_parallel)
+    def render_forward(
+        self,
+        scene: mi.Scene,
+        params: Any,
+        sensor: Any = 0,
+        seed: int = 0,
+        spp: int = 0,
+    ) -> mi.TensorXf:
+        """Derivative of the map along the gradients that parameters of BSDFs have."""
+        del params  # the scene has them
+        _, settings = self._asked(scene, sensor, seed, spp)
+        rules = self._rules.setdefault(id(scene), {})
+        return of_colours(rows_of(forward(scene, settings, rules)))
+
+    @launches_kernels(is_parallel)
+    def render_backward(
+        self,
+        scene: mi.Scene,
+        params: Any,
+        grad_in: mi.TensorXf,
+        sensor: Any = 0,
+        seed: int = 0,
+        spp: int = 0,
+    ) -> None:
+        """Add to the gradients of parameters of BSDFs what a loss makes of the map."""
+        del params
+        sensor, settings = self._asked(scene, sensor, seed, spp)
+        film = sensor.film()
+        if film.record is None:
+            self.render(scene, sensor, seed, spp, develop=False)
+        n_theta, n_phi = film.subdivision.shape
+        rows = np.array(grad_in, float).reshape(-1, n_theta, n_phi, grad_in.shape[-1])
+        rows[1:] = rows[1:, ::-1]
+        rules = self._rules.setdefault(id(scene), {})
+        backward(scene, settings, rules, rows, film.record)
+
+    def _asked(
+        self, scene: mi.Scene, sensor: Any, seed: int, spp: int
+    ) -> tuple[Any, MeasurementSettings]:
+        """The sensor, and settings of scene, sensor and call."""
         if isinstance(sensor, int):
             sensor = scene.sensors()[sensor]
         if not isinstance(getattr(sensor, "settings", None), MeasurementSettings):
@@ -69,18 +134,25 @@ class Goniophotometer(mi.SamplingIntegrator):
             )
         own = self.settings.of_plugin(INTEGRATOR) | own_settings(scene, sensor)
         here = {"seed": int(mi.UInt32(seed)[0]), "rays": spp or self.settings.rays}
-        settings = MeasurementSettings().changed(**own | here)
-        setups = set_up(Specimen(scene, settings.period), settings)
-        finished: list[list[Tally]] = [[]]
-        (stack,) = records_of(setups, finished, send_all(setups, finished))
-        sensor.film().record = stack[0]
-        if stack.provenance.interrupted:
-            raise KeyboardInterrupt
-        return sensor.film().develop() if develop else None
+        return sensor, MeasurementSettings().changed(**own | here)
 
     def to_string(self) -> str:
         """Return a readable description."""
         return f"Goniophotometer[{self.settings}]"
+
+
+def of_colours(rows: mi.TensorXf) -> mi.TensorXf:
+    """Map with all channels of the variant, of one that has the first alone."""
+    several = 3 if mi.is_rgb else rows.shape[-1]
+    if rows.shape[-1] == several:
+        return rows
+    return mi.TensorXf(np.repeat(np.array(rows), several, axis=-1))
+
+
+def rows_of(both: Floats) -> mi.TensorXf:
+    """Map of all hemispheres in one, as the film `patches` has it."""
+    rows = np.concatenate([both[0], *(one[::-1] for one in both[1:])])
+    return mi.TensorXf(np.ascontiguousarray(rows, dtype=np.float32))
 
 
 Goniophotometer.__doc__ = plugin_table(

@@ -15,6 +15,7 @@ from gonio_mi.settings import MeasurementSettings, declarations
 # Settings that change how well something is known, or are compared by themselves.
 OTHERS = {
     *("rays", "rel_err", "noise", "max_rays", "floor", "batches", "estimator"),
+    "gradients",
     *("points", "sampler", "seed", "rr_depth", "trace"),
     *("wavelengths", "collector", "hemispheres"),
 }

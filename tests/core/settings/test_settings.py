@@ -32,6 +32,7 @@ OTHERS = {
     "batches": (8, 8),
     "estimator": ("analog", "analog"),
     "points": (3, 3),
+    "gradients": ("a.value,b", ("a.value", "b")),
     "sampler": ("independent", {"type": "independent"}),
     "seed": (7, 7),
     "side": ("back", "back"),
