@@ -16,7 +16,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..array_types import Floats
+from ..array_types import Floats, Singles
 from ..collector import Subdivision, subdivision
 from ..collector.directions import direction
 from ..errors import (
@@ -72,7 +72,7 @@ class BRDFDerivative:
     value : ndarray
         Of the shape of the BRDF, in 1/sr for the whole change.
     std_err : ndarray
-        Standard errors, from independent batches.
+        Standard errors, from independent batches; NaN where none found any light.
     n_batches : int
     order : str
         ``"1"``: light of two or more surface events is left out.
@@ -114,10 +114,6 @@ class DifferentiableSurface:
 
     Attributes
     ----------
-    geometry : mi.TensorXf
-        As it was given: of vertices in rows and columns the heights, of shape ``(n_y,
-        n_x)``, each once in a period; of other meshes all vertices, ``(n, 3)``. Of
-        vertices at one place the first one moves them all.
     shape : tuple of int
         Of a BRDF: of the collector's map, or the number of directions; and channels.
 
@@ -172,7 +168,8 @@ class DifferentiableSurface:
                     "directions must be pairs of a polar angle in [0, 90) and an "
                     f"azimuth in degrees, got {shown(directions)}"
                 )
-            cells, shape = np.array([theta, theta, phi, phi]).T, (len(theta),)
+            cells = np.array([theta, theta, phi, phi]).T
+            shape: Any = (len(theta),)
             ratio = 1 / direction(theta, phi)[:, 2]
         else:
             patches = subdivision(collector)
@@ -193,8 +190,9 @@ class DifferentiableSurface:
     def _set_mesh(self, mesh: mi.Mesh, specimen: Specimen) -> None:
         """Copies of the mesh, to be traced and to be moved; its geometry and edges."""
         parameters: Any = traversed(mesh)
-        found, faces = triangles_of(parameters)
-        points = found.astype(np.float32)
+        found: Any = triangles_of(parameters)
+        points, faces = (np.array(one) for one in found)
+        points = points.astype(np.float32)
         cell = (specimen.high - specimen.low)[:2]
         self._period: Any = "none"
         if specimen.periodic:
@@ -217,7 +215,7 @@ class DifferentiableSurface:
         else:
             base, take = points, same
             self._fixed -= mi.Point3f(points[same].T)
-        self.geometry = mi.TensorXf(base)
+        self._start = mi.TensorXf(base)
         self._take = mi.UInt32(take.astype(np.uint32))
         self._is_grid = grid is not None
         dr.make_opaque(self._faces, self._edges, self._shift, self._take, self._fixed)
@@ -226,6 +224,16 @@ class DifferentiableSurface:
         areas = np.linalg.norm(np.cross(other - one, third - one), axis=1)
         lengths = np.linalg.norm(points[edges.end] - points[edges.start], axis=1)
         self._by_area, self._by_length = _shares(areas), _shares(lengths)
+
+    @property
+    def geometry(self) -> mi.TensorXf:
+        """Heights or vertices, as they were given: the parameter to differentiate for.
+
+        Of vertices in rows and columns the heights, of shape ``(n_y, n_x)``, each once
+        in a period; of other meshes all vertices, ``(n, 3)``. Of several vertices at
+        one place the first moves them all.
+        """
+        return mi.TensorXf(self._start)
 
     def _copy(self) -> mi.Mesh:
         """A mesh like that of the specimen."""
@@ -288,15 +296,15 @@ class DifferentiableSurface:
         keys = [(seed, BATCHES, batch) for batch in range(n)]
         each = np.stack([self._forward(geometry, change, key) for key in keys])
         std_err = each.std(axis=0, ddof=1) / np.sqrt(n)
+        std_err[~each.any(axis=0)] = np.nan
         return BRDFDerivative(each.mean(axis=0), std_err, n)
 
     def _checked(self, given: Any, name: str = "geometry") -> mi.TensorXf:
         """The tensor, of the shape of the geometry, which is that of None."""
-        given = self.geometry if given is None else mi.TensorXf(given)
-        if given.shape != self.geometry.shape:
-            raise SettingError(
-                f"{name} must be of shape {self.geometry.shape}, got {given.shape}"
-            )
+        shape = self._start.shape
+        given = mi.TensorXf(self._start if given is None else given)
+        if given.shape != shape:
+            raise SettingError(f"{name} must be of shape {shape}, got {given.shape}")
         return given
 
     @launches_kernels()
@@ -602,7 +610,8 @@ class _BRDF(dr.CustomOp):
 def _checked_mesh(specimen: Specimen) -> mi.Mesh:
     """The one mesh of a specimen; SpecimenError if it has more, or something else."""
     (surface, *more), what = specimen.surfaces, "a differentiable surface"
-    if more or specimen.groups or not isinstance(surface, mi.Mesh):
+    # a rectangle is a mesh in Mitsuba's class tree, but has no vertices
+    if more or specimen.groups or triangles_of(traversed(surface)) is None:
         kinds = sorted({shape.class_name() for shape in specimen.surfaces})
         raise SpecimenError(
             f"{what} must be one mesh, got "
@@ -636,7 +645,7 @@ def _put(mesh: mi.Mesh, points: mi.Point3f) -> None:
     parameters.update()
 
 
-def _grid(points: Floats, same: Any) -> Any:
+def _grid(points: Singles, same: Any) -> Any:
     """Heights of vertices in rows and columns, each once, and the one of each vertex.
 
     None of other meshes.
