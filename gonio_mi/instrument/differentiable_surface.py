@@ -45,6 +45,9 @@ from .incidence import incident_angles, towards
 # Points at silhouettes, in parts of the points of the surface.
 EDGE_POINTS = 1 / 8
 
+# Points of a map at least: of fewer, none may be lit.
+MIN_POINTS = 2**8
+
 # Triangles whose shares of the surface single precision tells apart.
 MAX_TRIANGLES = 2**20
 
@@ -143,7 +146,7 @@ class DifferentiableSurface:
                 "differentiation that is not spectral, such as llvm_ad_mono, "
                 f"got {mi.variant()}"
             )
-        self.points = checked_count("points", points)
+        self.points = checked_count("points", points, MIN_POINTS)
         (incident,), _ = incident_angles(float(theta_i), float(phi_i))
         self._wi = mi.Vector3f(in_memory(towards(incident, "front")))
         self._set_receivers(collector, directions)
@@ -376,7 +379,7 @@ class DifferentiableSurface:
         yield self._of_points(self._seeded(key, 0, self.points), moves)
         if not moves:
             return
-        n = max(1, int(EDGE_POINTS * self.points))
+        n = int(EDGE_POINTS * self.points)
         at_source = self._silhouettes(self._wi)
         if dr.width(at_source):
             yield self._shadows(self._seeded(key, 1, n), n, at_source)
@@ -444,8 +447,8 @@ class DifferentiableSurface:
             lit = self._is_lit(si, mi.Bool(True))
             seen = self._sees(si, wo, lit)
         if moves:
-            lanes = receiver, wo, weight, power, face, place, seen
-            receiver, wo, weight, power, face, place, seen = _where(lit, lanes)
+            lanes = receiver, wo, weight, face, place, seen, power
+            receiver, wo, weight, face, place, seen, power = _where(lit, lanes)
             lit, si = mi.Bool(True), self._interaction(face, place)
         a, b, c = self._corners(face)
         power *= dr.abs(dr.dot(dr.cross(b - a, c - a), self._wi)) / 2
@@ -683,9 +686,14 @@ def _drawn(shares: tuple[mi.Float, mi.Float], u: mi.Float) -> tuple[Any, mi.Floa
 
 
 def _where(active: mi.Bool, lanes: Sequence[Any]) -> list[Any]:
-    """The lanes that are active."""
+    """The lanes that are active; if that is one, twice with half the last of `lanes`.
+
+    Dr.Jit 1.5 records no loops of a single lane.
+    """
     dr.eval(active, *lanes)
     some = dr.compress(active)
+    if dr.width(some) == 1:
+        some, lanes = mi.UInt32(some[0], some[0]), [*lanes[:-1], lanes[-1] / 2]
     return [dr.gather(type(lane), lane, some) for lane in lanes]
 
 

@@ -16,6 +16,7 @@ from specimens import both_sided, grooves, heightfield, mesh
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
 from gonio_mi.errors import SettingError, SpecimenError, VariantError
+from gonio_mi.instrument.differentiable_surface import _where
 from gonio_mi.surfaces.mesh_edges import mesh_edges, welded
 
 WHITE = {"type": "diffuse", "reflectance": 1.0}
@@ -302,6 +303,16 @@ def test_what_two_events_add():
         parts.append(np.sqrt(np.mean(more**2) / np.mean((first + more) ** 2)))
     print("part of two and more events:", parts)
     assert parts[0] < 0.2 < parts[1]
+
+
+def test_a_single_point_at_an_edge():
+    """Exact, of the lanes of a loop: one of them is two of half the weight."""
+    lanes = mi.UInt32(5, 6, 7), mi.Float(1.0, 2.0, 3.0)
+    number, weight = _where(mi.Bool(False, True, False), lanes)
+    assert np.array_equal(number, [6, 6])
+    assert np.array_equal(weight, [1, 1])
+    number, weight = _where(mi.Bool(True, True, False), lanes)
+    assert np.array_equal(weight, [1, 2])
 
 
 # ------------------------------------------------------------------------- refusals
