@@ -15,8 +15,14 @@ from specimens import both_sided, grooves, heightfield, mesh
 
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
-from gonio_mi.errors import SettingError, SpecimenError, VariantError
-from gonio_mi.instrument.differentiable_surface import _where
+from gonio_mi.errors import (
+    SettingError,
+    SettingTypeError,
+    SpecimenError,
+    VariantError,
+)
+from gonio_mi.estimators.moving_surface import MovingSurface, _where
+from gonio_mi.instrument import differentiable_surface
 from gonio_mi.surfaces.mesh_edges import mesh_edges, welded
 
 WHITE = {"type": "diffuse", "reflectance": 1.0}
@@ -26,11 +32,17 @@ BATCHES = 8
 DIRECTIONS = [(0, 0), (20, 120), (40, 0), (60, 60), (60, 180)]
 
 
-class NoEdges(gonio.DifferentiableSurface):
+class NoEdges(MovingSurface):
     """Twin: visibility does not change."""
 
-    def _lights(self, key, moves):
-        yield next(super()._lights(key, moves))
+    def _lights(self, *settings):
+        yield next(super()._lights(*settings))
+
+
+def twin_of(kind, monkeypatch, *args, **settings):
+    """A differentiable surface whose derivatives lack something."""
+    monkeypatch.setattr(differentiable_surface, "MovingSurface", kind)
+    return gonio.DifferentiableSurface(*args, **settings)
 
 
 def field(slope, n=32, seed=3):
@@ -81,7 +93,7 @@ def groove_brdf(depth, wi):
 
 
 @pytest.mark.parametrize("theta", [0, 50])
-def test_depth_of_a_groove(theta):
+def test_depth_of_a_groove(theta, monkeypatch):
     """Statistics, against a closed form with shadows and masks.
 
     Twin: without edges. At normal incidence only masks have any.
@@ -93,19 +105,19 @@ def test_depth_of_a_groove(theta):
     surface = gonio.DifferentiableSurface(groove, theta, **settings)
     deeper = surface.geometry.numpy() / depth
     agree(of_errors(surface.derivative(deeper, batches=BATCHES), exact))
-    still = NoEdges(groove, theta, **settings)
+    still = twin_of(NoEdges, monkeypatch, groove, theta, **settings)
     disagree(of_errors(still.derivative(deeper, batches=BATCHES), exact))
 
 
-class NoFootprint(gonio.DifferentiableSurface):
+class NoFootprint(MovingSurface):
     """Twin: the border of the lit part of the surface stays."""
 
-    def _footprint(self, sampler, n):
-        receiver, light, lit = super()._footprint(sampler, n)
+    def _footprint(self, sampler):
+        receiver, light, lit = super()._footprint(sampler)
         return receiver, 0 * light, 0 * lit
 
 
-def test_border_of_the_footprint():
+def test_border_of_the_footprint(monkeypatch):
     """Statistics, of a ramp beside a plane, which the light leaves dark at its end.
 
     The ramp falls from the height h at x = -1 to 0 at x = 0. Light from +x enters
@@ -126,7 +138,7 @@ def test_border_of_the_footprint():
     surface = gonio.DifferentiableSurface(ramp, theta, **settings)
     exact = slope_in(brdf, h)
     agree(of_errors(surface.derivative(high, batches=BATCHES), exact))
-    fixed = NoFootprint(ramp, theta, **settings)
+    fixed = twin_of(NoFootprint, monkeypatch, ramp, theta, **settings)
     disagree(of_errors(fixed.derivative(high, batches=BATCHES), exact))
 
 
@@ -224,7 +236,7 @@ def differences(surface, change, step=0.01):
     ("periodic", "bsdf", "theta"),
     [(True, WHITE, 45), (True, GLOSSY, 70), (False, WHITE, 45)],
 )
-def test_all_heights_against_differences(periodic, bsdf, theta):
+def test_all_heights_against_differences(periodic, bsdf, theta, monkeypatch):
     """Statistics. Twin: without edges."""
     specimen = rough(0.5, bsdf, periodic=periodic)
     common = {"period": "box" if periodic else "none", "points": 2**16}
@@ -240,7 +252,7 @@ def test_all_heights_against_differences(periodic, bsdf, theta):
         return verdict(normal_scores(t, BATCHES - 1))
 
     agree(scores(surface))
-    disagree(scores(NoEdges(specimen, theta, 20, **common)))
+    disagree(scores(twin_of(NoEdges, monkeypatch, specimen, theta, 20, **common)))
 
 
 def test_reverse_mode_is_forward_mode():
@@ -337,6 +349,10 @@ def test_a_single_point_at_an_edge():
         ({"period": 0.7}, "must not have geometry wider than its period"),
         ({"collector": None}, "either collector or directions must be given"),
         ({"directions": [(95, 0)], "collector": None}, r"polar angle in \[0, 90\)"),
+        ({"directions": "up", "collector": None}, "pairs of a polar angle"),
+        ({"theta_i": [10, 20]}, "must be one angle each"),
+        ({"theta_i": None}, "must be one angle each"),
+        ({"points": 10}, "points must be at least 256"),
         ({"collector": "apertures:5@10/0"}, "parts of rings about the normal"),
         ({"theta_i": 95}, "theta_i must be an angle"),
     ],
@@ -365,6 +381,8 @@ def test_refused_geometry():
     )
     with pytest.raises(SettingError, match=r"shape \(32, 32\), got \(33, 33\)"):
         surface.brdf(mi.TensorXf(np.zeros((33, 33), np.float32)))
+    with pytest.raises(SettingTypeError, match="change must be a tensor or an array"):
+        surface.derivative("up")
 
 
 def test_colour():
