@@ -8,6 +8,7 @@ the detector, carry that part of the derivative.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import drjit as dr
@@ -133,7 +134,7 @@ class MovingSurface:
         self._specimen = Specimen(scene, self._period)
 
     def brdf(
-        self, geometry: mi.TensorXf, key: tuple[int, ...], points: int, moves: bool
+        self, geometry: mi.TensorXf, key: tuple[int, ...], points: int
     ) -> mi.Float:
         """BRDF of light of one event, by receiver and channel.
 
@@ -144,9 +145,8 @@ class MovingSurface:
             What tells the points from others.
         points : int
             Their number.
-        moves : bool
-            Whether derivatives for the geometry are wanted, of which it has some.
         """
+        moves = dr.grad_enabled(geometry)
         self._pose(geometry)
         n_channels = len(mi.UnpolarizedSpectrum())
         flux = dr.zeros(mi.Float, self._n_receivers * n_channels)
@@ -158,6 +158,15 @@ class MovingSurface:
             if cell is None and lit is not None:
                 incident += dr.sum(lit)
         return flux / incident
+
+    @contextmanager
+    def brdf_in_motion(self, *given: Any) -> Iterator[mi.Float]:
+        """:meth:`brdf` of a geometry with derivatives, which no other kernel meets."""
+        try:
+            yield self.brdf(*given)
+        finally:
+            self._vertices = dr.detach(self._vertices)
+            _put(self._meshes[1], self._vertices)
 
     def _lights(self, key: tuple[int, ...], points: int, moves: bool) -> Iterator[Any]:
         """Receivers, light that points send there, and light that they get, or None."""

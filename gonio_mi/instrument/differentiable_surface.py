@@ -215,9 +215,12 @@ class DifferentiableSurface:
     def _checked(self, given: Any, name: str = "geometry") -> mi.TensorXf:
         """The tensor, of the shape of the geometry, which is that of None."""
         shape = self._moving.start.shape
-        try:
-            tensor = self.geometry if given is None else mi.TensorXf(given)
-        except TypeError:
+        if given is None:
+            return self.geometry
+        try:  # not what Dr.Jit makes of a text: it does not return
+            is_tensor = isinstance(given, mi.TensorXf)
+            tensor = mi.TensorXf(given if is_tensor else np.array(given, np.float32))
+        except (TypeError, ValueError):
             raise SettingTypeError(
                 f"{name} must be a tensor or an array of numbers, got {shown(given)}"
             ) from None
@@ -228,7 +231,7 @@ class DifferentiableSurface:
     @launches_kernels()
     def _value(self, geometry: mi.TensorXf, key: tuple[int, ...]) -> mi.Float:
         """BRDF without derivatives."""
-        found = self._moving.brdf(geometry, key, self.points, moves=False)
+        found = self._moving.brdf(geometry, key, self.points)
         dr.eval(found)
         return found
 
@@ -240,9 +243,9 @@ class DifferentiableSurface:
         moved = mi.TensorXf(dr.detach(geometry))
         dr.enable_grad(moved)
         dr.set_grad(moved, change)
-        brdf = self._moving.brdf(moved, key, self.points, moves=True)
-        found = dr.forward_to(brdf)
-        dr.eval(found)
+        with self._moving.brdf_in_motion(moved, key, self.points) as brdf:
+            found = dr.forward_to(brdf)
+            dr.eval(found)
         return found.numpy().astype(float).reshape(self.shape)
 
     @launches_kernels()
@@ -252,8 +255,8 @@ class DifferentiableSurface:
         """Derivative of the sum of the BRDF times `adjoint` for each height."""
         moved = mi.TensorXf(dr.detach(geometry))
         dr.enable_grad(moved)
-        brdf = self._moving.brdf(moved, key, self.points, moves=True)
-        dr.backward(dr.sum(brdf * adjoint.array))
+        with self._moving.brdf_in_motion(moved, key, self.points) as brdf:
+            dr.backward(dr.sum(brdf * adjoint.array))
         return dr.grad(moved)
 
 

@@ -273,6 +273,9 @@ def test_reverse_mode_is_forward_mode():
     found = dr.forward_to(dr.sum(surface.brdf(heights) * adjoint))
     assert reverse == pytest.approx(found.numpy().item(), rel=1e-4)
     assert not dr.grad_enabled(surface.brdf(dr.detach(heights)))
+    # other kernels meet all meshes that there are
+    meshes = surface._moving._meshes
+    assert not any(dr.grad_enabled(mi.traverse(m)["vertex_positions"]) for m in meshes)
 
 
 def test_optimisers_move_heights():
