@@ -44,6 +44,10 @@ from .exchange.exports import (
 from .exchange.formats.reading import read_measured as read_measured
 from .files import load as load
 from .files.measured_table import MeasuredTable as MeasuredTable
+from .instrument.differentiable_surface import (
+    BRDFDerivative as BRDFDerivative,
+    DifferentiableSurface as DifferentiableSurface,
+)
 from .instrument.measure import measure_orders as measure_orders
 from .plots import plot as plot
 from .reports import report as report

@@ -25,6 +25,7 @@ from ..results.statistics import student_interval, student_score
 from ..results.tally import Fate, Tally
 from ..settings.measurement_settings import BRANCHES
 from ..specimen.rays import NEARBY, departure, escapes, intersect
+from ..specimen.specimen import Specimen
 from ..transport.polarisation import n_channels
 from ..transport.sampling import seeded, split_lanes
 from ..transport.setup import Setup
@@ -304,7 +305,7 @@ class SurfacePoints:
         here = dr.gather(mi.SurfaceInteraction3f, si, point)
         wi = dr.gather(mi.Vector3f, self.wi, incident)
         cosine = dr.abs(dr.dot(here.n, wi))
-        seen = self._sees(here, wi, here.is_valid() & (cosine > 0))
+        seen = sees(self.specimen, self.side, here, wi, here.is_valid() & (cosine > 0))
         met = dr.select(seen, self.area * cosine / dr.abs(wi.z), 0.0)
         kept = self._kept(here, wi, met * _shading_ratio(here, wi))
         dr.eval(kept, met)
@@ -323,7 +324,10 @@ class SurfacePoints:
         sin_phi, cos_phi = dr.sincos(phi_low + phi_span * at.y)
         wo = mi.Vector3f(radius * cos_phi, radius * sin_phi, self.side * (1 - 2 * s))
         here = dr.gather(mi.SurfaceInteraction3f, si, point)
-        seen, ratio = self._sees(here, wo, here.is_valid()), _shading_ratio(here, wo)
+        seen, ratio = (
+            sees(self.specimen, self.side, here, wo, here.is_valid()),
+            _shading_ratio(here, wo),
+        )
         kept = self._kept(here, wo, dr.select(seen & (ratio > 0), 1 / ratio, 0.0))
         dr.eval(kept)
         return kept
@@ -337,13 +341,6 @@ class SurfacePoints:
         kept = dr.empty(mi.Float, 4 * dr.width(w))
         dr.scatter(kept, row, dr.arange(mi.UInt32, dr.width(w)))
         return kept
-
-    def _sees(self, si: Any, wo: mi.Vector3f, active: mi.Bool) -> mi.Bool:
-        """Whether nothing stands in the way from a point, on either of its sides."""
-        d = -dr.copysign(mi.Float(1), dr.dot(si.n, wo)) * si.n
-        start, offset = departure(self.specimen, si, d, wo)
-        ray = mi.Ray3f(start + dr.copysign(offset, dr.dot(si.n, wo)) * si.n, wo)
-        return escapes(self.specimen, self.side, ray, si.n, offset, active)
 
     def _sums(self, si: Any, came: mi.Float, gone: mi.Float, n: int, m: int) -> Floats:
         """Sums of light over `n` points, of `m` incident directions.
@@ -365,6 +362,16 @@ class SurfacePoints:
             )
         light = np.stack([one.numpy() for one in total], axis=-1)
         return light.astype(float).reshape(self.n_batches, m, self.n_patches, -1)
+
+
+def sees(
+    specimen: Specimen, side: int, si: Any, w: mi.Vector3f, active: mi.Bool
+) -> mi.Bool:
+    """Whether nothing stands in the way from a point, on either of its sides."""
+    d = -dr.copysign(mi.Float(1), dr.dot(si.n, w)) * si.n
+    start, offset = departure(specimen, si, d, w)
+    ray = mi.Ray3f(start + dr.copysign(offset, dr.dot(si.n, w)) * si.n, w)
+    return escapes(specimen, side, ray, si.n, offset, active)
 
 
 def _shading_ratio(si: Any, w: mi.Vector3f) -> mi.Float:

@@ -387,3 +387,32 @@ def escapes(
         proceed(specimen, flight, si, met)
         flying = met.goes_on
     return free
+
+
+@dr.syntax
+def first_met(
+    specimen: Any, side: int, ray: mi.Ray3f, active: mi.Bool
+) -> tuple[mi.Bool, mi.UInt32, mi.Point3f]:
+    """What rays from somewhere in space meet first.
+
+    Returns
+    -------
+    met : mi.Bool
+        Whether that is anything.
+    number : mi.UInt32
+        Of the triangle.
+    p : mi.Point3f
+        Where it is met, within the periodic cell.
+    """
+    flight = flight_from(specimen, ray)
+    found, number, p = mi.Bool(False), mi.UInt32(0), mi.Point3f(0)
+    flying = mi.Bool(active)
+    while flying:
+        si = nearest(specimen, flight.ray, MINIMAL, flying)
+        met = encounter(specimen, side, flight, si, flying)
+        found |= met.real
+        number[met.real] = si.prim_index
+        p[met.real] = si.p
+        proceed(specimen, flight, si, met)
+        flying = met.goes_on
+    return found, number, p
