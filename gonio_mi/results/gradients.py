@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,11 +13,7 @@ from ..single_precision import ROUNDING
 from . import statistics
 from .estimates import Estimate, Estimates
 from .tally import DifferentiatedIntegrals, DifferentiatedTally
-from .values import QUANTITIES, TOTALS
-
-if TYPE_CHECKING:
-    from .record import Record
-
+from .values import QUANTITIES, TOTALS, MeasuredValues
 
 # Weights of rays that were not seen, over the largest mean weight of a patch: slopes
 # grow towards the tails of a lobe.
@@ -223,7 +219,7 @@ class Slope:
     high: float | None
 
 
-def slopes_of(record: Record, level: float) -> list[Slope]:
+def slopes_of(record: Any, level: float) -> list[Slope]:
     """Derivatives of the totals of one incident direction, with their intervals."""
     found = []
     for of in TOTALS[: record.n_hemispheres]:
@@ -237,7 +233,7 @@ def slopes_of(record: Record, level: float) -> list[Slope]:
 
 
 def _of_each(
-    record: Record, what: str, name: str, of: str, *more: float
+    record: MeasuredValues, what: str, name: str, of: str, *more: float
 ) -> tuple[Floats, ...]:
     """What the estimates of each incident direction tell: one array, or two."""
     checked_choice("of", of, QUANTITIES)
@@ -257,7 +253,7 @@ def _of_each(
     return tuple(one[..., 0] if alone else one for one in arrays)
 
 
-def _numbers(record: Record, name: str) -> tuple[slice, bool]:
+def _numbers(record: MeasuredValues, name: str) -> tuple[slice, bool]:
     """Places of the numbers of a parameter, and whether it is one."""
     columns = record.provenance.columns
     kinds = DifferentiatedTally, DifferentiatedIntegrals
