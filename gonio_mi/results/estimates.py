@@ -58,6 +58,8 @@ class Around:
         rays carry unlike power, in units of a ray; that is the former at least.
     uneven : bool
         Whether deposits scatter too much for Student's t in most patches.
+    part : ndarray, broadcastable to ``(..., channels)``
+        Part of a hemisphere that the sum is of, by projected solid angle.
     """
 
     heavy: Floats
@@ -66,6 +68,7 @@ class Around:
     largest: Floats
     unlike: Floats
     uneven: bool = False
+    part: Floats | float = 1.0
 
     @classmethod
     def nothing(cls, channels: int) -> Around:
@@ -73,19 +76,20 @@ class Around:
         none = np.zeros(channels)
         return cls(none, none, none, none + 1.0, none)
 
-    def scaled(self, flux: Floats, ray: Floats) -> Around:
-        """With fractions of another flux and another ray."""
+    def scaled(self, flux: Floats, ray: Floats, part: float) -> Around:
+        """With fractions of another flux and another ray, for other patches."""
         return replace(
             self,
             heavy=self.heavy * flux,
             typical=self.typical * flux,
             largest=self.largest * ray,
             unlike=self.unlike * ray,
+            part=part,
         )
 
     def joined(self, other: Around) -> Around:
         """Of both hemispheres: the larger of all."""
-        names = "heavy", "share", "typical", "largest", "unlike", "uneven"
+        names = "heavy", "share", "typical", "largest", "unlike", "uneven", "part"
         found: dict[str, Any] = {
             n: np.maximum(getattr(self, n), getattr(other, n)) for n in names
         }
@@ -107,8 +111,6 @@ class Estimate(ABC):
         Hits of one pass.
     rays : int
         Rays of one pass that bring the flux `incident`.
-    part : ndarray, broadcastable to ``(..., channels)``
-        Part of a hemisphere that a sum is of, by projected solid angle.
     rest : callable, optional
         Returns what all patches tell of it; without it these are all patches.
     """
@@ -118,7 +120,6 @@ class Estimate(ABC):
     incident: Numbers
     hits: Integers
     rays: int
-    part: Floats | float = 1.0
     rest: Callable[[], Around] | None = None
 
     @cached_property
@@ -173,7 +174,8 @@ class Estimate(ABC):
 
     def find_around(self) -> Around:
         """What these patches of one hemisphere tell of sums over some of them."""
-        return Around.nothing(self.sums.shape[-1])
+        nothing = Around.nothing(self.sums.shape[-1])
+        return replace(nothing, part=self.light.parts[..., None])
 
     @cached_property
     def around(self) -> Around:
@@ -298,7 +300,8 @@ class SampledEstimate(Estimate):
             uneven = bool(self._uneven.sum() > MAX_UNEVEN_PATCHES * lit)
         none = np.zeros(len(heavy))
         largest = none + np.nanmax(self._weight, initial=1.0)
-        return Around(heavy, share, none, largest, unlike, uneven)
+        part = self.light.parts[..., None]
+        return Around(heavy, share, none, largest, unlike, uneven, part)
 
     @property
     def _hits(self) -> Integers:
@@ -370,7 +373,7 @@ class SampledEstimate(Estimate):
         weight, unseen = self._weight, statistics.upper_limit(self.rays, level)
         rounding, n = ROUNDING * self.value, self.light.n_batches
         if self.light.deposited:
-            above = np.maximum(weight, (1 - weight) * self.part)
+            above = np.maximum(weight, (1 - weight) * self.around.part)
         else:
             all_rays = self._hits >= self.rays
             above = np.where(all_rays, np.maximum(1 - weight, 0), weight)
@@ -452,7 +455,9 @@ class SplitEstimate(ControlledEstimate):
         """Power of the branches of a ray that a sum receives; of a ray without any."""
         tally, ledger = self.light.tally, self.light.tally.ledger
         alone = tally.hits.sum() == ledger.reflected + ledger.transmitted
-        return super()._one * (1 if alone else np.maximum(1 / BRANCHES, self.part))
+        return super()._one * (
+            1 if alone else np.maximum(1 / BRANCHES, self.around.part)
+        )
 
     def find_around(self) -> Around:
         """Points have the weight of those in the median patch at least."""
@@ -594,7 +599,7 @@ class Estimates:
 
     def total(self, hemisphere: int) -> Estimate:
         """All patches of a hemisphere, shape ``(channels,)``."""
-        weights = np.zeros(self.hits.shape)
+        weights = np.zeros(self.tally.hits.shape)
         weights[hemisphere] = 1.0
         return self.weighted(weights)
 
@@ -603,7 +608,7 @@ class Estimates:
         """What passed a periodic specimen without any event, shape ``(channels,)``."""
         tally, hits = self.tally, self._of_a_pass(self.tally.ledger.direct)
         own = partial(Around.nothing, tally.channels)
-        where = self, tally.direct, tally.incident, hits, self.rays, 1.0, own
+        where = self, tally.direct, tally.incident, hits, self.rays, own
         if isinstance(tally, Integrals):
             return IntegralEstimate(*where, error=np.zeros(tally.channels))
         return SampledEstimate(*where)
@@ -629,15 +634,14 @@ class Estimates:
             found = []
             for own, patches in zip(np.abs(weights), self._patches):
                 if own.any():
-                    size = flux * own.max()
+                    size, part = flux * own.max(), float(self.parts[own > 0].sum())
                     ray = size * rays / self.rays
-                    found.append(patches.around.scaled(size, ray))
+                    found.append(patches.around.scaled(size, ray, part))
             return reduce(Around.joined, found or [Around.nothing(tally.channels)])
 
         sums = summed(tally.sums, weights)
         hits = self._of_a_pass(tally.hits[weights != 0].sum(dtype=np.uint64))
-        part = max(float(self.parts[own != 0].sum()) for own in weights)
-        where = self, sums, incident, hits, rays, part, rest
+        where = self, sums, incident, hits, rays, rest
         if not isinstance(tally, Integrals):
             return self.kind(*where)
         spread = np.abs(weights)
@@ -663,8 +667,7 @@ class Estimates:
         """Estimates of the patches of each hemisphere."""
         tally, found = self.tally, []
         for i, hits in enumerate(self.hits):
-            part = self.parts[..., None]
-            where = self, tally.sums[:, i], tally.incident, hits, self.rays, part
+            where = self, tally.sums[:, i], tally.incident, hits, self.rays
             more = {}
             if isinstance(tally, Integrals):
                 more = {"error": tally.errors[i] / tally.incident.max(axis=0)}
@@ -673,7 +676,8 @@ class Estimates:
 
     def _of_a_pass(self, n: Any) -> Integers:
         """Number of hits of one pass, rounded up."""
-        return np.asarray(-(-np.asarray(n, np.int64) // self.passes))
+        n = np.asarray(n, np.int64)
+        return n if self.passes == 1 else np.asarray(-(-n // self.passes))
 
 
 def summed(sums: Numbers, weights: Floats) -> Numbers:

@@ -205,11 +205,11 @@ def gamma_interval(
     tail, variance = (1 - level) / 2, np.square(std_err)
     with np.errstate(divide="ignore", invalid="ignore"):
         counted = np.where(heavy * value > variance, variance / heavy, value)
-        low = (
-            variance / counted * scipy.special.gammaincinv(counted**2 / variance, tail)
-        )
-    more, with_more = variance + largest**2, counted + largest
-    high = scipy.special.gammaincinv(with_more**2 / more, 1 - tail) * more / with_more
+        low = variance / counted
+        low = low * scipy.special.gammaincinv(counted**2 / variance, tail)
+        more, with_more = variance + largest**2, counted + largest
+        high = scipy.special.gammaincinv(with_more**2 / more, 1 - tail)
+        high = high * more / with_more
     low = np.where(std_err == 0, counted, low)
     return low + (value - counted), high + (value - counted)
 
