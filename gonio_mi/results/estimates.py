@@ -26,8 +26,6 @@ MIN_HITS = 100
 MIN_EVEN_HITS = 30
 # Deposits of a sum below which the few large ones among them may be missing.
 MIN_DEPOSITS = 300
-# Batches below which few hits tell more by their number than by their scatter.
-MIN_BATCHES = 4
 
 # Scatter of deposits, in units of that of as many independent ones all alike, above
 # which Student's t is not enough. Measured with a point in each patch: in the median
@@ -266,19 +264,19 @@ class SampledEstimate(Estimate):
         if self.binomial:
             return statistics.binomial_interval(hits, self.rays, level)
         low, high = self._student(level)
-        counted, rare = self._counted, self.pooled & ~self.dark
-        if counted.any():
+        counted, rare = self.few, self.pooled & ~self.dark
+        if counted.any() and not self.light.deposited:
 
             def by_count(n: Floats, weight: Floats) -> tuple[Floats, Floats]:
                 ends = statistics.binomial_interval(n, self.rays, level)
                 return ends[0] * weight, ends[1] * weight
 
             ends = _where(counted, by_count, hits, self._weight)
+            if not self.light.independent:  # which scatter less: the narrower of both
+                ends = np.fmax(ends[0], low), np.fmin(ends[1], high)
             low, high = (np.where(counted, *pair) for pair in zip(ends, (low, high)))
-        if self.light.tally.scale == 1:  # all hits weigh one
-            wide = rare | (self.few & ~counted)
-        else:
-            wide = rare | self.few
+        exact = self.light.independent and self.light.tally.scale == 1
+        wide = rare if exact else rare | self.few
         low, high = _widened((low, high), self._unlike(level, wide, rare))
         limit = statistics.upper_limit(self.rays, level) * self.around.largest
         low = np.where(self.dark, 0.0, np.maximum(low, 0.0))  # no flux is negative
@@ -313,18 +311,6 @@ class SampledEstimate(Estimate):
         """Mean weight of a hit in units of a ray's; NaN without a hit."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(self.value * self.rays / self._hits)
-
-    @property
-    def _counted(self) -> Flags:
-        """Whether limits are those of the number of hits, each of the mean weight.
-
-        Those of rays that are independent, or whose few batches scatter by chance.
-        """
-        if self.light.deposited:
-            return np.zeros(self.value.shape, bool)
-        return self.few & (
-            self.light.independent | (self.light.n_batches < MIN_BATCHES)
-        )
 
     @property
     def _uneven(self) -> Flags:
@@ -635,8 +621,11 @@ class Estimates:
             for own, patches in zip(np.abs(weights), self._patches):
                 if own.any():
                     size, part = flux * own.max(), float(self.parts[own > 0].sum())
-                    ray = size * rays / self.rays
-                    found.append(patches.around.scaled(size, ray, part))
+                    one = patches.around.scaled(size, size * rays / self.rays, part)
+                    if self.unlike_power and over is None:
+                        # of all that a heavy ray sends, its own power is a part
+                        one = replace(one, share=one.share * max(1 - part, 0.0))
+                    found.append(one)
             return reduce(Around.joined, found or [Around.nothing(tally.channels)])
 
         sums = summed(tally.sums, weights)

@@ -323,8 +323,8 @@ class MeasuredValues:
         batches, with fewer degrees of freedom where they had unlike parts of the light
         of an emitter of finite size. For fewer than 100 independent hits, the exact
         binomial interval of the hits times the mean weight of a hit; for fewer than 30
-        with other samplers, which scatter less, Student's t (below 4 batches that of
-        the hits). In both cases the interval of weights that are unlike reaches at
+        with other samplers, which scatter less, the narrower of that and Student's t.
+        In both cases the interval of weights that are unlike reaches at
         least to the limits for weighted counts (Fay and Feuer 1997), of which one of
         their mean weight, by power, may have been missed. What received no hit has an
         upper limit, and so has a channel that none of its hits carried: the flux that

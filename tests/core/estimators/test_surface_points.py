@@ -134,9 +134,9 @@ def test_intervals_where_rays_are_few():
     lit, t = truth > 1e-3 * truth.max(), stats.t.ppf(0.975, 15)
     held: list[list[float]] = [[], []]
     for seed in range(24):
-        (one,) = split(specimen, where, rays=2**6, seed=seed).estimates
-        value, alone = one.fraction(0), t * one.noise(0)
-        limits = one.interval(0, 0.95), (value - alone, value + alone)
+        one = split(specimen, where, rays=2**6, seed=seed).estimates[0].patches(0)
+        value, alone = one.value, t * one.noise
+        limits = one.interval(0.95), (value - alone, value + alone)
         for found, (low, high) in zip(held, limits):
             found.append(((low <= truth) & (truth <= high))[lit].mean())
     ours, twin = (

@@ -230,7 +230,7 @@ def test_threads_and_launches_do_not_matter(monkeypatch):
         dr.set_thread_count(before)
     for size in (2001, 7011):
         monkeypatch.setattr(
-            LaunchSize, "next_part", lambda *ab, n=size: min(n, ab[2] - ab[1])
+            LaunchSize, "next_part", lambda _, a, b, most, n=size: min(n, b - a, most)
         )
         assert tallies() == whole
 
