@@ -160,7 +160,7 @@ class Search:
         both = estimate, self.scales**2
         parts = (np.split(array, self._ends, axis=-1) for array in both)
         for one, part, variances in zip(self.observations, *parts):
-            total[np.ix_(free, free)] += one.propagated(part, variances)
+            total[np.ix_(free, free)] += one.points(variances).covariance(part)
         return total
 
     def at_limit(self, values: Floats) -> Flags:

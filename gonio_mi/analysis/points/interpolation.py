@@ -8,6 +8,7 @@ from scipy.spatial import Delaunay, QhullError, cKDTree
 
 from ...array_types import Flags, Floats, Integers
 from ...collector.directions import angles
+from .points import Points
 
 # Decimals of unit vectors that tell directions apart.
 DIGITS = 7
@@ -33,15 +34,13 @@ class Interpolation:
     ----------
     wo : ndarray, shape (n, 3)
         Unit vectors with z > 0.
-    value, std_err : ndarray, shape (n,)
+    points : Points
     half_angle : float
         Of the cone about each direction for which its value stands, in radians; 0 for
         the direction alone.
     """
 
-    def __init__(
-        self, wo: Floats, value: Floats, std_err: Floats, half_angle: float = 0.0
-    ) -> None:
+    def __init__(self, wo: Floats, points: Points, half_angle: float = 0.0) -> None:
         keys, self._number = np.unique(
             np.round(wo, DIGITS), axis=0, return_inverse=True
         )
@@ -49,7 +48,7 @@ class Interpolation:
         self._repeats = np.bincount(self._number)
         self._tree = cKDTree(keys)
         self._reach = 2 * np.sin(half_angle / 2) + 10.0**-DIGITS
-        self._mean = np.bincount(self._number, value) / self._repeats
+        self._mean = np.bincount(self._number, points.value) / self._repeats
         try:
             self._triangles: Delaunay | None = Delaunay(_plane(keys))
         except (QhullError, ValueError):  # all in one plane, or fewer than three
@@ -62,7 +61,7 @@ class Interpolation:
         most = MAX_SIDE * usual[corners].max(axis=1)
         self._fine = sides.max(axis=1) <= most
         each = self._mean[corners]
-        noise = np.bincount(self._number, std_err**2) / self._repeats**2
+        noise = np.bincount(self._number, points.std_err**2) / self._repeats**2
         margin = MAX_STD_ERRS * np.sqrt(noise)[corners]
         low, high = (each + margin).min(axis=1), (each - margin).max(axis=1)
         steep = high > MAX_RATIO * np.maximum(low, 0)

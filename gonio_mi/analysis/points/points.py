@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ...array_types import Floats
 from ...collector.directions import direction
 from ...files.measured_table import MeasuredTable
+from ...results.record import Record
+from ...results.statistics import residuals
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,14 +28,27 @@ class Points:
     std_err : ndarray, shape (n,)
         Standard uncertainties that are independent between points.
     roots : ndarray, shape (n_errors, n)
-    dof : ndarray or float
-        Degrees of freedom of `std_err`.
+        None by default.
+    dof : ndarray
+        Degrees of freedom of `std_err`; by default infinitely many.
     """
 
     value: Floats
     std_err: Floats
-    roots: Floats
-    dof: Floats | float = np.inf
+    roots: Any = None
+    dof: Any = None
+
+    def __post_init__(self) -> None:
+        n = len(self.value)
+        if self.roots is None:
+            object.__setattr__(self, "roots", np.zeros((0, n)))
+        if self.dof is None:
+            object.__setattr__(self, "dof", np.full(n, np.inf))
+
+    def __getitem__(self, rows: Any) -> Points:
+        """Return the points of some rows."""
+        value, std_err = self.value[rows], self.std_err[rows]
+        return Points(value, std_err, self.roots[:, rows], self.dof[rows])
 
     @classmethod
     def of_table(cls, table: MeasuredTable) -> Points:
@@ -40,6 +56,25 @@ class Points:
         value = table.bsdf
         roots = table.scale_uncertainty * value[None]
         return cls(value, table.bsdf_std_err, roots, table.bsdf_dof)
+
+    @classmethod
+    def of_record(cls, record: Record, index: int, where: Any) -> Points:
+        """Flux fractions of a record, with the error of each batch of rays.
+
+        Parameters
+        ----------
+        record : Record
+        index : int
+            Of its incident direction.
+        where : tuple of ndarray of int, each of shape (n,)
+            Hemispheres, rows, columns and channels.
+        """
+        tally = record.tallies[index]
+        sums = tally.sums[(slice(None), *where)].astype(float)
+        incident = tally.incident[:, where[-1]].astype(float)
+        roots = residuals(sums, incident, record.estimates[index].unlike_power)
+        value = sums.sum(axis=0) / incident.sum(axis=0)
+        return cls(value, np.zeros_like(value), roots)
 
     def covariance(self, weights: Floats) -> Floats:
         """Covariance of weighted sums of the values.

@@ -104,10 +104,9 @@ def table_estimate(own: Definition, table: MeasuredTable, phi_i: float) -> Estim
         the receptors.
     """
     here, phi_i = _rows_of(own, table, phi_i)
-    points = Points.of_table(table)
-    value, half_angle = points.value[here], table.aperture_half_angle or 0.0
-    wo, cone = exit_directions(table)[here], np.radians(half_angle)
-    field = Interpolation(wo, value, points.std_err[here], cone)
+    points, wo = Points.of_table(table)[here], exit_directions(table)[here]
+    cone = np.radians(table.aperture_half_angle or 0.0)
+    field = Interpolation(wo, points, cone)
     nodes, source, blur = _nodes(own, phi_i), *_blurs(own, table)
 
     def sums(offsets: Floats) -> Floats:
@@ -122,9 +121,8 @@ def table_estimate(own: Definition, table: MeasuredTable, phi_i: float) -> Estim
     wo, weight, row = nodes.blurred(source)
     numbers = range(len(slopes))
     linear = np.array([field.weights(wo[row == i], weight[row == i]) for i in numbers])
-    each = np.zeros(len(table))
-    each[here] = slopes @ linear
-    curved = abs(_function(own, linear @ value) - found)
+    each = slopes @ linear
+    curved = abs(_function(own, linear @ points.value) - found)
     counted = slopes[nodes.row] * nodes.weight
     both = (source[:, None] + blur).reshape(-1, 2)
     parts = {
