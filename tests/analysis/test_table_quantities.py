@@ -198,6 +198,33 @@ def test_what_a_table_cannot_tell(name, theta_i, settings, message):
         gonio.quantity(name, lambertian(theta_i), **settings)
 
 
+def test_rings_about_a_pole_without_a_value():
+    """Middles of rings of 4 degrees, as of patch means; twin: a hole of 14 degrees."""
+    sectors = np.arange(2.5, 360, 5.0)
+    table = table_of(None, 45, np.arange(2, 60, 4.0), sectors)
+    assert gonio.quantity("45/0", table).value == pytest.approx(WHITE, rel=1e-3)
+    table = table_of(None, 45, np.arange(14, 60, 4.0), sectors)
+    with pytest.raises(ValueError, match="covers 0 % of that"):
+        gonio.quantity("45/0", table)
+
+
+@pytest.mark.parametrize(
+    ("keep", "part", "hint"),
+    [
+        (lambda wo: wo[:, 1] >= 0, "covers 50", "add it, if the specimen is isotropic"),
+        (lambda wo: wo[:, 1] == 0, "covers 0 %", "its directions lie in one plane"),
+    ],
+)
+def test_half_a_table_and_one_plane(keep, part, hint):
+    """Twins: the half with its mirror image, the plane with an aperture."""
+    table, name = lambertian(45), "brf:theta_i=45,theta_o=20,phi_o=180,receptor=10"
+    half = lambertian(45, lambda wo: keep(np.round(wo, 9)))
+    with pytest.raises(ValueError, match=f"{part}.*{hint}"):
+        gonio.quantity(name, half)
+    wide = replace(half, aperture_half_angle=6) if "plane" in hint else table
+    assert gonio.quantity(name, wide).value == pytest.approx(WHITE, rel=1e-3)
+
+
 def test_a_lobe_between_directions_is_refused(glossy):
     """Neighbours that differ by a factor of 3 resolve no lobe; twin: a wider one."""
     sharp = mi.load_dict(GLOSSY | {"alpha": 0.02})

@@ -57,7 +57,7 @@ class Interpolation:
         corners = self._triangles.simplices
         ends = keys[corners]
         sides = np.linalg.norm(ends - np.roll(ends, 1, axis=1), axis=-1)
-        usual = _third_smallest(corners, sides, len(keys))
+        usual = _usual_distance(corners, sides, len(keys))
         most = MAX_SIDE * usual[corners].max(axis=1)
         self._fine = sides.max(axis=1) <= most
         each = self._mean[corners]
@@ -67,6 +67,11 @@ class Interpolation:
         steep = high > MAX_RATIO * np.maximum(low, 0)
         self._half_range = np.where(steep, np.ptp(each, axis=1) / 2, 0.0)
         self._smooth = CloughTocher2DInterpolator(self._triangles, self._mean)
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether all directions lie in one plane, so that none is between them."""
+        return self._triangles is None
 
     def covers(self, wo: Floats) -> Flags:
         """Whether directions, shape (m, 3), lie between neighbours or in a cone."""
@@ -134,8 +139,12 @@ def _plane(wo: Floats) -> Floats:
     return np.stack([theta * np.cos(phi), theta * np.sin(phi)], axis=-1)
 
 
-def _third_smallest(corners: Integers, sides: Floats, n: int) -> Floats:
-    """Of each of n corners the third shortest side that ends there, or the longest."""
+def _usual_distance(corners: Integers, sides: Floats, n: int) -> Floats:
+    """Of each of n corners the third shortest side that ends there.
+
+    Or that of a neighbour, if it is longer: those of the ring about a pole that has no
+    value of its own are next to each other across it.
+    """
     pairs = np.stack([corners, np.roll(corners, 1, axis=1)], axis=-1).reshape(-1, 2)
     both = np.concatenate([pairs, pairs[:, ::-1]])
     rows, first = np.unique(both, axis=0, return_index=True)
@@ -143,5 +152,8 @@ def _third_smallest(corners: Integers, sides: Floats, n: int) -> Floats:
     order = np.lexsort((length, rows[:, 0]))
     ends = np.searchsorted(rows[:, 0], np.arange(n + 1))
     third = np.minimum(ends[:-1] + 2, ends[1:] - 1)
-    # a direction that no triangle has
-    return np.where(np.diff(ends) > 0, length[order][third], 0.0)
+    # 0 for a direction that no triangle has
+    own = np.where(np.diff(ends) > 0, length[order][third], 0.0)
+    usual = own.copy()
+    np.maximum.at(usual, rows[:, 0], own[rows[:, 1]])
+    return usual

@@ -115,7 +115,11 @@ def table_estimate(own: Definition, table: MeasuredTable, phi_i: float) -> Estim
         return np.bincount(row, weight * field.values(wo)).astype(float)
 
     missing = ~field.covers(nodes.wo)
-    lacking = _checked_missing(own, table, nodes, missing)
+    lacking = _missing_part(own, nodes, missing)
+    if lacking > MAX_MISSING:
+        beside = _turned(_turned(nodes.wo, -phi_i) * [1, -1, 1], phi_i)
+        mirrored = _missing_part(own, nodes, missing & ~field.covers(beside))
+        raise _too_little(own, table, lacking, mirrored, field.is_flat)
     lit, narrow = sums(source), sums(np.zeros((1, 2)))
     found, slopes = _function(own, lit), _slopes(own, lit)
     wo, weight, row = nodes.blurred(source)
@@ -313,20 +317,33 @@ def _slopes(own: Definition, sums: Floats) -> Floats:
     return np.array([(high - low) / (2 * step) for high, low in ends])
 
 
-def _checked_missing(
-    own: Definition, table: MeasuredTable, nodes: Nodes, missing: Flags
-) -> float:
-    """Part of the projected solid angle without values; ValueError if too much is."""
+def _missing_part(own: Definition, nodes: Nodes, missing: Flags) -> float:
+    """Part of the projected solid angle without values, in the sum with most of it."""
     weight, row = np.abs(nodes.weight), np.zeros_like(nodes.row)
     row = row if own.curve else nodes.row
-    part = float(np.max(np.bincount(row, weight * missing) / np.bincount(row, weight)))
-    if part > MAX_MISSING:
-        raise SettingError(
-            f"{own.title} needs values all over {own.geometry}: {table.name} covers "
-            f"{100 * (1 - part):.3g} % of that projected solid angle and misses "
-            f"{100 * part:.3g} %, of which at most {100 * MAX_MISSING:g} % may be"
+    return float(np.max(np.bincount(row, weight * missing) / np.bincount(row, weight)))
+
+
+def _too_little(
+    own: Definition, table: MeasuredTable, part: float, mirrored: float, is_flat: bool
+) -> SettingError:
+    """Error for a table that misses a part of what a quantity needs."""
+    text = (
+        f"{own.title} needs values all over {own.geometry}: {table.name} covers "
+        f"{100 * (1 - part):.3g} % of that projected solid angle and misses "
+        f"{100 * part:.3g} %, of which at most {100 * MAX_MISSING:g} % may be"
+    )
+    if is_flat and table.aperture_half_angle is None:
+        text += (
+            "; its directions lie in one plane: `aperture_half_angle` "
+            "(--aperture-half-angle) tells how far around each its value stands"
         )
-    return part
+    elif mirrored <= MAX_MISSING:
+        text += (
+            "; with the mirror image of its directions at the plane of incidence it "
+            "would cover enough: add it, if the specimen is isotropic"
+        )
+    return SettingError(text)
 
 
 def _check_resolved(
