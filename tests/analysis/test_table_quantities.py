@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import synthetic
 from budget import agree, disagree, often_enough
 from closed_forms import eval_flux, fresnel
 
@@ -223,6 +224,11 @@ def test_half_a_table_and_one_plane(keep, part, hint):
         gonio.quantity(name, half)
     wide = replace(half, aperture_half_angle=6) if "plane" in hint else table
     assert gonio.quantity(name, wide).value == pytest.approx(WHITE, rel=1e-3)
+
+
+def test_a_record_is_no_table():
+    with pytest.raises(TypeError, match="or the table that export writes of it"):
+        gonio.quantity("gloss60", synthetic.record())
 
 
 def test_a_lobe_between_directions_is_refused(glossy):

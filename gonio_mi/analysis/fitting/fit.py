@@ -348,7 +348,7 @@ class Fit:
         )
         return stack if self.record.stacked else stack[0]
 
-    def quantity(self, name: str, **settings: Any) -> Any:
+    def quantity(self, name: str | Sequence[str], **settings: Any) -> Any:
         """Quantity of the fitted model, such as gloss, with the fit's covariance.
 
         The model is measured as :func:`gonio_mi.quantity` does, by deposits of light
@@ -358,7 +358,7 @@ class Fit:
 
         Parameters
         ----------
-        name : str
+        name : str or sequence of str
             As of :func:`gonio_mi.quantity`.
         **settings
             Of :func:`gonio_mi.quantity`.

@@ -169,6 +169,11 @@ def quantity(
         opaque specimen, a table that does not cover a quantity's directions, and as
         :func:`gonio_mi.measure`.
     """
+    if isinstance(specimen, Record):
+        raise SettingTypeError(
+            "specimen must be a specimen or a table, got a record: take its own "
+            "quantity(name), or the table that export writes of it (.csv)"
+        )
     if isinstance(specimen, MeasuredTable):
         found = of_table(name, specimen, phi_i, settings)
     else:
