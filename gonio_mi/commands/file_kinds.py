@@ -19,14 +19,14 @@ HEAD = 4096
 # heights are listed where they are read.
 RECORD = "is named as a record is: give it to gonio-mi show, plot or report"
 MEASURED = (
-    "holds measured values: give it to gonio-mi show, compare or fit, or measure the "
-    "material goniometric:filename={path}"
+    "holds measured values: give it to gonio-mi show, compare, fit or quantity, or "
+    "measure the material goniometric:filename={path}"
 )
 MESH = "is a mesh: give it to gonio-mi measure or surface, with --bsdf"
 HEIGHTS = "is read as heights of a surface: give it to gonio-mi surface or measure"
 TABLE = (
-    "is named as a table is: give it to gonio-mi show, compare or fit (heights in text "
-    "are known by the ending .asc)"
+    "is named as a table is: give it to gonio-mi show, compare, fit or quantity "
+    "(heights in text are known by the ending .asc)"
 )
 TABLES = (".csv", ".tsv", ".txt", ".astm", ".rtd")
 POINTS = (

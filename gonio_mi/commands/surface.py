@@ -45,6 +45,7 @@ USAGE = "%(prog)s SPECIMEN [options]"
 
 # Options that are properties of the plugin `heightfield`.
 HEIGHT_MAP = ("size", "size_y", "scale", "range", "unit", "form", "fill")
+SURFACE = (*HEIGHT_MAP, "bsdf", "normal", "mean_plane")
 
 
 def add_options(parser: ArgumentParser) -> None:

@@ -48,6 +48,9 @@ NUMBERS = {
 }
 TEXTS = ("units", "quantity", "channel")
 
+# What a user may state of a table beside how it is read.
+STATED = ("uncertainty", "scale_uncertainty", "aperture_half_angle")
+
 # Decimals of a degree that distinguish directions, and standard errors by which two
 # values of one direction may differ.
 ANGLE_DIGITS, MAX_STD_ERRS = 6, 6.0
@@ -197,6 +200,17 @@ class MeasuredTable:
             f"<MeasuredTable {self.name}: {number_of(len(self), 'value')} of "
             f"{self.quantity}, {number_of(len(self.incident), 'incident direction')}>"
         )
+
+    def stated(self, **told: float | None) -> "MeasuredTable":
+        """Return the table with what is told of it beside its file; None says nothing.
+
+        Of `uncertainty`, `scale_uncertainty` and `aperture_half_angle`, the last only
+        where the table does not state it.
+        """
+        given: dict[str, Any] = {k: v for k, v in told.items() if v is not None}
+        if self.aperture_half_angle is not None:
+            given.pop("aperture_half_angle", None)
+        return replace(self, **given)
 
     @property
     def incident(self) -> list[tuple[float, float]]:

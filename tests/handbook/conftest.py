@@ -23,7 +23,8 @@ def less(monkeypatch):
     Radiance's files are not read back, as in other tests.
     """
     starts = FittedModel.starts
-    monkeypatch.setattr(FittedModel, "starts", lambda model: starts(model)[:1])
+    first = lambda model, finer=False: starts(model, finer)[:1]  # noqa: E731
+    monkeypatch.setattr(FittedModel, "starts", first)
     monkeypatch.setattr(Search.minimum, "__defaults__", (1e-3, 1e-3, 3))
     for name, fewer in LESS.items():
         monkeypatch.setattr(f"gonio_mi.{name}", fewer)

@@ -49,12 +49,10 @@ from ...commands.arguments import (
 )
 from ...commands.file_kinds import record_of
 from ...errors import SettingError
+from ...files.measured_table import STATED
 from .compare import check_not_measured, names_specimen
 
 USAGE = "%(prog)s RECORD|TABLE|SPECIMEN MODEL ... [options]"
-
-# What may be stated of a table beside how it is read.
-STATED = ("uncertainty", "scale_uncertainty", "aperture_half_angle")
 
 # What may be said of how a specimen is measured, beside its angles.
 SETTINGS = ("collector", "rays", "rel_err", "estimator", "side", "wavelengths", "seed")

@@ -11,9 +11,10 @@ import scipy  # its parts are imported when used
 
 from ...array_types import Flags, Floats, Integers
 from ...results.record import Record
-from ...results.statistics import residuals, student_score, two_sided_score
+from ...results.statistics import student_score, two_sided_score
 from ...results.tally import without_chance
 from ...single_precision import FEW_ROUNDINGS
+from ..points import Points
 
 # Below this many hits the mean of batches is too skewed for Student's t far out: its
 # two-sided tail at 1e-5 is 1.3 times too heavy at 1000 hits, 4.4 times at 100.
@@ -88,9 +89,7 @@ class Readings:
                 solid=solid,
                 dof=1e9,
             )
-        sums = tally.sums[(slice(None), *where)].astype(float)
-        incident = tally.incident[:, channel].astype(float)
-        each = residuals(sums, incident, estimates.unlike_power)
+        each = Points.of_record(record, index, where).roots
         return cls(
             value=value,
             std_err=np.stack(errors)[where],
@@ -100,7 +99,7 @@ class Readings:
             weight=weight,
             usual=usual,
             solid=solid,
-            dof=1e9 if estimates.binomial else len(sums) - 1.0,
+            dof=1e9 if estimates.binomial else len(each) - 1.0,
         )
 
     @property
@@ -144,14 +143,16 @@ class Variation:
 
 @dataclass(eq=False)
 class PointSet:
-    """Points of one record and incident direction, and what they are compared with."""
+    """Points of one record and incident direction, and what they are compared with.
+
+    The errors of `other` are without those of `other_readings`, and without the common
+    factor that :func:`judge` fits.
+    """
 
     columns: dict[str, Any]  # directions and channel of the points
     readings: Readings
-    other: np.ndarray
-    other_error: np.ndarray  # independent between points, without that of the readings
+    other: Points
     total_of: list[Any]  # to which total each point belongs
-    other_dof: np.ndarray | float = np.inf
     other_readings: Readings | None = None
     variation: Variation | None = None  # of means over patches beside points
     sharing: int = 1  # how many sets may have one noise, as copies of one direction
@@ -178,18 +179,18 @@ def judge(
     scores, errors, trace2 = [], [], 0.0
     totals: dict[object, _Total] = {}
     for one in sets:
-        shared = scale * np.abs(one.other)
+        shared = scale * np.abs(one.other.value)
         z, sigma = _scores(one, 1 + fitted)
         scores.append(z)
         own = 0.0 if one.other_readings is None else one.other_readings.error
-        errors.append(np.sqrt(one.other_error**2 + shared**2 + own**2))
+        errors.append(np.sqrt(one.other.std_err**2 + shared**2 + own**2))
         trace2 += one.sharing * _trace_of_square(one, sigma)
         for key in set(one.total_of):
             _add_total(totals.setdefault(key, _Total()), one, key, shared)
     z = np.concatenate(scores)
     n = len(z)
     pull = fitted / scale if scale else 0.0
-    most = sum(len(one.other) / one.sharing for one in sets)
+    most = sum(len(one.other.value) / one.sharing for one in sets)
     chi2, dof = float(z @ z + pull**2), min(float(n**2 / trace2), most)
     worst = float(np.abs(z).max())
     total = [abs(t.score) for t in totals.values() if t.hits >= MIN_STUDENT_HITS]
@@ -227,8 +228,10 @@ def _fitted_scale(sets: Sequence[PointSet], scale: float) -> float:
         sigma2, _, few, _ = _errors(one, 1.0)
         bound = 0.0 if one.variation is None else one.variation.bound
         inverse = np.where(few, 0.0, 1 / (sigma2 + bound**2))
-        pull += np.sum(one.other * (one.readings.value - one.other) * inverse)
-        weight += np.sum(one.other**2 * inverse)
+        pull += np.sum(
+            one.other.value * (one.readings.value - one.other.value) * inverse
+        )
+        weight += np.sum(one.other.value**2 * inverse)
     return pull / weight
 
 
@@ -259,12 +262,12 @@ def _add_total(total: _Total, one: PointSet, key: object, shared: Floats) -> Non
     """Add the points of a set that belong to `key`."""
     solid = one.readings.solid * np.array([own == key for own in one.total_of])
     value, variance, dof = one.readings.total(solid)
-    other = one.other @ solid
+    other = one.other.value @ solid
     total.difference += value - other
-    total.variance += variance + one.other_error**2 @ solid**2
+    total.variance += variance + one.other.std_err**2 @ solid**2
     total.variance += (FEW_ROUNDINGS * other) ** 2 + np.finfo(float).tiny
     total.welch += variance**2 / dof
-    total.welch += one.other_error**4 / one.other_dof @ solid**4
+    total.welch += one.other.std_err**4 / one.other.dof @ solid**4
     total.shared += shared @ solid
     total.hits += one.readings.hits @ (solid > 0)
     if one.variation is not None:
@@ -283,11 +286,11 @@ def _errors(one: PointSet, factor: float) -> tuple[Floats, Floats, Flags, Flags]
     Brown 1966, Annals of Mathematical Statistics 37, 639).
     """
     mine, others = one.readings, one.other_readings
-    rounding = FEW_ROUNDINGS * factor * one.other
-    sigma2 = mine.error**2 + one.other_error**2 + rounding**2
+    rounding = FEW_ROUNDINGS * factor * one.other.value
+    sigma2 = mine.error**2 + one.other.std_err**2 + rounding**2
     if one.variation is not None:
         sigma2 = sigma2 + np.maximum(one.variation.hidden, 0)
-    welch = mine.error**4 / mine.dof + one.other_error**4 / one.other_dof
+    welch = mine.error**4 / mine.dof + one.other.std_err**4 / one.other.dof
     few, empty = mine.hits < MIN_STUDENT_HITS, mine.hits == 0
     if others is not None:
         sigma2 = sigma2 + others.error**2
@@ -295,7 +298,7 @@ def _errors(one: PointSet, factor: float) -> tuple[Floats, Floats, Flags, Flags]
         few, empty = few | (others.hits < MIN_STUDENT_HITS), empty | (others.hits == 0)
     dof = sigma2**2 / np.maximum(welch, np.finfo(float).tiny)
     # Welch's are too many where an error of few repetitions is small by chance
-    return sigma2, np.minimum(dof, one.other_dof), few, empty
+    return sigma2, np.minimum(dof, one.other.dof), few, empty
 
 
 def _scores(one: PointSet, factor: float) -> tuple[Floats, Floats]:
@@ -305,14 +308,14 @@ def _scores(one: PointSet, factor: float) -> tuple[Floats, Floats]:
     """
     mine, others = one.readings, one.other_readings
     sigma2, dof, few, empty = _errors(one, factor)
-    other = factor * one.other
+    other = factor * one.other.value
     if one.variation is not None:
         bound = one.variation.bound
         other = other + np.clip(mine.value - other, -bound, bound)
     z = student_score((mine.value - other) / np.sqrt(sigma2), dof)
     if others is None:
         exact = _hits_score(mine, other, sigma2 - mine.error**2)
-    elif np.any(one.other_error) or factor != 1:
+    elif np.any(one.other.std_err) or factor != 1:
         exact = np.full(z.shape, np.nan)
     else:
         exact = _two_hits_score(mine, others)

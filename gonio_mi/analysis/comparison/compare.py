@@ -145,7 +145,9 @@ def compare(
         if any(map(_is_even, measured)) and mostly_few(sets):
             notes.append(POWERLESS)
     undecided = left_undecided(sets, scale, p_values, alpha, notes)
-    points = [{**one.columns, **vars(one.readings), "other": one.other} for one in sets]
+    points = [
+        {**one.columns, **vars(one.readings), "other": one.other.value} for one in sets
+    ]
     names = (*sets[0].columns, "value", "std_err", "other")
     columns = {name: np.concatenate([one[name] for one in points]) for name in names}
     columns |= {name: azimuths_deg(columns[name]) for name in ("phi_i", "phi_o")}

@@ -17,6 +17,7 @@ from ...results.provenance import shared_seeds
 from ...results.record import Record
 from ...results.tally import holds_integrals
 from ...settings import MeasurementSettings, declarations
+from ..points import Points
 from .agreement import PointSet, Readings
 from .patch_variation import REMEDY, variation_within
 
@@ -75,8 +76,7 @@ def pair_with_record(
             PointSet(
                 columns,
                 readings=first,
-                other=second.value,
-                other_error=relative * np.abs(second.value),
+                other=Points(second.value, relative * np.abs(second.value)),
                 other_readings=second,
                 total_of=keys,
                 sharing=alike[k],
@@ -93,7 +93,7 @@ def pair_with_table(
     Points of patches whose variation is not known are left out, with a note.
     """
     notes = [*table.notes, *_stated(table)]
-    errors = table.bsdf_std_err
+    points = Points.of_table(table)
     sets = []
     hemisphere = int(table.quantity == "btdf")
     v = direction(np.radians(pole_angle(table.theta_o)), np.radians(table.phi_o))
@@ -125,9 +125,7 @@ def pair_with_table(
                 PointSet(
                     columns | {"channel": np.full(n, record.channels[channel])},
                     readings=readings(patch[here]),
-                    other=table.bsdf[here],
-                    other_error=errors[here],
-                    other_dof=table.bsdf_dof[here],
+                    other=points[here],
                     total_of=[tuple(np.round(incident, 3))] * n,
                     variation=variation,
                     sharing=sharing(record)[k],

@@ -24,12 +24,20 @@ from ...results.tally import without_chance
 from ...specimen.specimen_text import SpecimenLike, parse_specimen, specimen_name
 from ..comparison.comparison import known
 from ..comparison.measure_like import PRECISION_SETTINGS, first_that_can
+from ..quantities import Quantity, quantity
 from .least_squares import MAX_REDUCED_CHI2, MAX_SCATTER, FittedModel, Search
 from .observations import Observations, RecordObservations, TableObservations
 
 # Rounds of refined nodes and weights; a round is the last that moves no parameter by
 # more than a part of its uncertainty, or of itself, which no node would notice.
 MAX_ROUNDS, MAX_MOVE_STD_ERRS, MAX_REL_MOVE = 8, 0.02, 1e-3
+
+# How the model's light is measured for a quantity: each ray of light adds to each
+# receptor, so that the result follows the parameters smoothly.
+DEPOSITS: dict[str, Any] = {"estimator": "next_event", "trace": True, "rays": 2**16}
+
+# Standard errors to either side of 95 %.
+Z_95 = 1.96
 
 # Angles at which a specimen is measured, in degrees: the middles of three equal parts
 # of the projected solid angle, from which diffuse light comes in equal shares.
@@ -149,6 +157,7 @@ def fit(
         predicted=predicted,
         at_limit=tuple(name for name, at in zip(fitted.names, at_limit) if at),
         scatter=scatter,
+        model=fitted,
     )
 
 
@@ -192,9 +201,7 @@ def _as_told(
         for name in told:
             raise SettingError(f"{name} applies to tables only, got a record")
         return without_copies(record)
-    if record.aperture_half_angle is not None:
-        told.pop("aperture_half_angle", None)
-    return replace(record, **told)
+    return record.stated(**told)
 
 
 def _observations(record: Record | MeasuredTable) -> Sequence[Observations]:
@@ -283,6 +290,8 @@ class Fit:
         Of a table that states no uncertainty, or a record of integrals: how far its
         points are from the model, relative, or its patches, relative to themselves and
         their mean; root mean square. `chi2` is then that of points as uncertain.
+    model : FittedModel, optional
+        The BSDF with its free parameters, which :meth:`quantity` varies.
     """
 
     record: Record | MeasuredTable
@@ -296,6 +305,7 @@ class Fit:
     predicted: Floats
     at_limit: tuple[str, ...] = ()
     scatter: float | None = None
+    model: FittedModel | None = None
 
     @property
     def std_errs(self) -> Floats:
@@ -337,6 +347,82 @@ class Fit:
             wavelengths=None if nm is None else nm.tolist(),
         )
         return stack if self.record.stacked else stack[0]
+
+    def quantity(self, name: str | Sequence[str], **settings: Any) -> Any:
+        """Quantity of the fitted model, such as gloss, with the fit's covariance.
+
+        The model is measured as :func:`gonio_mi.quantity` does, by deposits of light
+        towards the receptors unless `rays` or `estimator` is given, and again, with the
+        same rays, with its parameters one standard error to either side along the axes
+        of their covariance: half the difference is the standard error of each axis.
+
+        Parameters
+        ----------
+        name : str or sequence of str
+            As of :func:`gonio_mi.quantity`.
+        **settings
+            Of :func:`gonio_mi.quantity`.
+
+        Returns
+        -------
+        Quantity or tuple of Quantity
+            Its `parts` are the standard errors of the parameters and of the model's own
+            rays. What the model cannot do is in none, and noted.
+
+        Raises
+        ------
+        TypeError, ValueError
+            As of :func:`gonio_mi.quantity`.
+        """
+        if self.model is None:
+            raise SettingError("a quantity needs a fit that `fit` has made")
+        own: dict[str, Any] = {} if settings.keys() & PRECISION_SETTINGS else DEPOSITS
+        if isinstance(self.record, Record):
+            own = own | {"side": self.record.asked.side}
+
+        def results(values: Floats) -> list[Quantity]:
+            """Quantities of the model with these values."""
+            bsdf = self.model.bsdf(values) if self.model else {}
+            found = quantity(name, bsdf, **own | settings)
+            return [found] if isinstance(found, Quantity) else list(found)
+
+        found, errors = results(self.values), []
+        for step in self._axes():
+            ends, width = [], 0.0
+            for sign in (1, -1):
+                part = self.model.part_within_limits(self.values, sign * step)
+                ends.append(results(self.values + sign * part * step))
+                width += part
+            each = [(a.value - b.value) / width for a, b in zip(*ends)] if width else []
+            errors.append(each or [0.0] * len(found))
+        total = np.linalg.norm(np.reshape(errors, (-1, len(found))), axis=0).tolist()
+        answers = [self._with_error(*pair) for pair in zip(found, total)]
+        return answers[0] if len(answers) == 1 else tuple(answers)
+
+    def _axes(self) -> Floats:
+        """Steps of the parameters by one standard error along each axis."""
+        known = np.isfinite(self.std_errs)
+        if not known.any():
+            return np.zeros((0, len(self.values)))
+        sizes, axes = np.linalg.eigh(self.covariance[np.ix_(known, known)])
+        steps = np.zeros((len(sizes), len(self.values)))
+        steps[:, known] = (axes * np.sqrt(np.maximum(sizes, 0))).T
+        return steps
+
+    def _with_error(self, one: Quantity, error: float) -> Quantity:
+        """A quantity of the model, with the standard error of the parameters."""
+        parts = {"parameters": error, "rays": float(np.nan_to_num(one.std_err))}
+        std_err = float(np.hypot(error, parts["rays"]))
+        half = Z_95 * error
+        low, high = (float(np.hypot(half, end - one.value)) for end in one.interval)
+        low = one.value - low if one.definition.curve else max(one.value - low, 0.0)
+        unknown = [n for n, e in zip(self.names, self.std_errs) if not np.isfinite(e)]
+        notes = [f"the uncertainty of {n} is not known, nor in this" for n in unknown]
+        if self.reduced_chi2 > MAX_REDUCED_CHI2 or (self.scatter or 0) > MAX_SCATTER:
+            notes.append("the model does not follow what was measured: +- says little")
+        interval = low, one.value + high
+        found = replace(one, std_err=std_err, interval=interval, parts=parts)
+        return replace(found, notes=tuple(notes))
 
     def plot(self, path: str | PathLike[str] | None = None) -> Any:
         """Figure of record and prediction in the plane of incidence."""

@@ -160,7 +160,7 @@ class Search:
         both = estimate, self.scales**2
         parts = (np.split(array, self._ends, axis=-1) for array in both)
         for one, part, variances in zip(self.observations, *parts):
-            total[np.ix_(free, free)] += one.propagated(part, variances)
+            total[np.ix_(free, free)] += one.points(variances).covariance(part)
         return total
 
     def at_limit(self, values: Floats) -> Flags:
@@ -369,6 +369,14 @@ class FittedModel:
         """The lower and the upper limits of the parameters."""
         low, high = np.array([(p.low, p.high) for p in self.parameters]).T
         return low, high
+
+    def part_within_limits(self, values: Floats, step: Floats) -> float:
+        """Largest part of a step from some values, up to 1, that passes no limit."""
+        low, high = self.limits
+        room = np.where(step > 0, high - values, values - low)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            parts = np.where(step != 0, room / np.abs(step), 1.0)
+        return float(np.clip(parts.min(), 0.0, 1.0))
 
     def starts(self, finer: bool = False) -> list[Floats]:
         """Values from which to begin, of a parameter with fewer in turn."""

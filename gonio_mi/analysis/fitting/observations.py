@@ -1,5 +1,6 @@
 """Observations of a fit: values of records and tables, and their uncertainties."""
 
+from dataclasses import replace
 from functools import partial
 from typing import Any, TypeAlias
 
@@ -12,6 +13,7 @@ from ...files.measured_table import MeasuredTable
 from ...results.record import Record
 from ...results.tally import holds_integrals, without_chance
 from ...single_precision import FEW_ROUNDINGS
+from ..points import Points
 from .predictions import (
     INTEGRAL_ERR,
     MIN_INTEGRAL_ERR,
@@ -85,20 +87,21 @@ class RecordObservations:
         variances = self.variances(predicted) if self.stated else relative**2
         return float(np.sum((predicted - self.values) ** 2 / variances))
 
-    def propagated(self, estimate: Floats, variances: Floats) -> Floats:
-        """Covariance of a linear estimate: by batches, detectors together.
+    def points(self, variances: Floats) -> Points:
+        """Values with the errors of batches, in which detectors go together.
 
-        And by single precision: where all rays came, the batches say that the sum of
+        And of single precision: where all rays came, the batches say that the sum of
         what they carry is exact.
         """
-        rounding = FEW_ROUNDINGS * (estimate @ self.values)
-        least = np.outer(rounding, rounding)
+        rounding = FEW_ROUNDINGS * self.values[None]
         if not self._has_batches:
-            return (estimate * variances) @ estimate.T + least
-        incident = self._tally.incident.astype(float)[:, None, None, None]
-        batches = np.stack([self._kept(one) for one in self._tally.sums / incident])
-        each = batches @ estimate.T
-        return np.atleast_2d(np.cov(each, rowvar=False)) / len(batches) + least
+            return Points(self.values, np.sqrt(variances), rounding)
+        patches, channels = self.single.subdivision, len(self.single.channels)
+        shape = self.single.n_hemispheres, patches.n_detectors, channels
+        hemisphere, patch, channel = (a.ravel() for a in np.indices(shape))
+        where = hemisphere, *np.divmod(patch, patches.shape[1]), channel
+        found = Points.of_record(self.single, 0, where)
+        return replace(found, roots=np.vstack([found.roots, rounding]))
 
     def _kept(self, values: Floats) -> Floats:
         """Values of the detectors, without what is between them, in one row."""
@@ -186,11 +189,9 @@ class TableObservations:
             variances = (variances + self.variances(self.values)) / 2
         return float(np.sum((predicted - self.values) ** 2 / variances))
 
-    def propagated(self, estimate: Floats, variances: Floats) -> Floats:
-        """Covariance of a linear estimate: of the points, and of a common factor."""
-        points = (estimate * variances) @ estimate.T
-        common = self.table.scale_uncertainty * (estimate @ self.values)
-        return points + np.outer(common, common)
+    def points(self, variances: Floats) -> Points:
+        """Values with these variances, and with errors of a common factor."""
+        return replace(Points.of_table(self.table), std_err=np.sqrt(variances))
 
 
 Observations: TypeAlias = RecordObservations | TableObservations

@@ -250,6 +250,11 @@ def retroreflection(
     return replace(own, scale=scale)
 
 
+def reflectance(theta_i: Polar = 0.0) -> Definition:
+    """Directional-hemispherical reflectance."""
+    return Definition("total reflectance", "CIE 130", "", theta_i)
+
+
 def transmittance(theta_i: Polar = 0.0) -> Definition:
     """Total transmittance."""
     return Definition("total transmittance", "ISO 13468", "", theta_i, lower=True)
@@ -328,6 +333,7 @@ DEFINITIONS: dict[str, Callable[..., Definition]] = {
     "diffuse": partial(transmitted, "diffuse transmittance", beyond=True),
     "openness": partial(transmitted, "openness"),
     "tis": tis,
+    "dhr": reflectance,
     "brf": factor,
     "45/0": partial(factor, receptor=10.0, source=10.0),
     "0/45": partial(factor, theta_i=0.0, theta_o=45.0, receptor=10.0, source=10.0),

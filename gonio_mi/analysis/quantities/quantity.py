@@ -3,7 +3,7 @@
 import contextlib
 import inspect
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import mitsuba as mi
@@ -22,6 +22,7 @@ from ...errors import (
     shown,
     warn,
 )
+from ...files.measured_table import STATED, MeasuredTable
 from ...progress import counted
 from ...results.record import Record
 from ...specimen.loading import specimen_of
@@ -30,6 +31,7 @@ from ..comparison.measure_like import far_source
 from .definitions import DEFINITIONS, GROUPS, Definition, Range
 from .functionals import checked_weights, difference, jackknifed, ratio
 from .patch_limits import PatchLimits
+from .table_quantity import BOUNDS, table_estimate
 
 # Distance of a source, in extents of the specimen: a parallax of 6e-4 degrees.
 DISTANCE = 1e5
@@ -54,7 +56,14 @@ class Quantity:
         Of the measurement, as of a record.
     unresolved : float
         Part of the interval on either side that the patches leave open in which the
-        material itself, a file or a record, was measured.
+        material itself, a file or a record, was measured; or the directions of a table.
+    parts : mapping of str to float
+        The uncertainty by its source, of tables and fits: standard errors, and those
+        bounds that make `unresolved`.
+    notes : tuple of str
+        What is not in the interval, and what stands for what.
+    told_by : str
+        What `hits` counts.
     """
 
     name: str
@@ -65,26 +74,46 @@ class Quantity:
     definition: Definition
     settings: Mapping[str, Any]
     unresolved: float = 0.0
+    parts: Mapping[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    told_by: str = "rays arrived"
 
     @classmethod
     def of(
-        cls, name: str, own: Definition, record: Record, estimate: Floats, hits: int
+        cls,
+        name: str,
+        own: Definition,
+        settings: Mapping[str, Any],
+        estimate: Floats,
+        hits: int,
     ) -> "Quantity":
-        """Quantity of a definition, and what is estimated of a record."""
+        """Quantity of a definition: value, standard error and limits."""
         value, std_err, low, high = estimate.tolist()
-        return cls(name, value, std_err, (low, high), hits, own, record.settings)
+        return cls(name, value, std_err, (low, high), hits, own, settings)
 
     def __str__(self) -> str:
         own, (low, high) = self.definition, self.interval
         unit = own.unit and f" {own.unit}"
         text = f"{self.value:.5g}{unit} +- {self.std_err:.2g}"
+        if self.parts and not self.std_err:
+            text = f"{self.value:.5g}{unit}"
         text += f" (95 %: {low:.5g} to {high:.5g})"
         if not self.hits and np.isnan(self.std_err):
             text = f"0, at most {high:.3g}{unit}: no ray arrived"
         if self.unresolved > self.std_err / 10:
-            text += f", of which +- {self.unresolved:.2g} by the material's patches"
-        more = f"{own.title}: {own.geometry}; {self.hits} rays arrived. {own.source}"
-        return f"{self.name}: {text}\n    {more}"
+            text += f", of which +- {self.unresolved:.2g} by {self._unresolved_by}"
+        more = f"{own.title}: {own.geometry}; {self.hits} {self.told_by}. {own.source}"
+        notes = [f"note: {note}" for note in self.notes]
+        return "\n    ".join([f"{self.name}: {text}", more, *notes])
+
+    @property
+    def _unresolved_by(self) -> str:
+        """What leaves part of the interval open, in words."""
+        named = {name: part for name, part in self.parts.items() if name in BOUNDS}
+        if not named:
+            return "the material's patches"
+        parts = [n for n, part in named.items() if part > self.unresolved / 10]
+        return ", ".join("missing directions" if n == "missing" else n for n in parts)
 
     def to_dict(self) -> dict[str, Any]:
         """Return all of it in JSON's types; None for what is not known."""
@@ -111,17 +140,22 @@ def quantity(
         ``"gloss60"``, with parameters ``"R_A:observation=0.33,entrance=5"``, or a name
         of several: ``"gloss"``. Those of one geometry of light share their rays.
         :data:`gonio_mi.analysis.quantities.DEFINITIONS` has all of them.
-    specimen : dict, mi.BSDF, mi.Scene, str or path
-        See :func:`gonio_mi.measure`.
+    specimen : dict, mi.BSDF, mi.Scene, str, path or MeasuredTable
+        See :func:`gonio_mi.measure`. The values of an instrument's own table
+        (:func:`gonio_mi.read_measured`) are interpolated within the receptors; nothing
+        is measured.
     phi_i : float
-        Azimuth of the plane of incidence in degrees: the rotation of the specimen.
+        Azimuth of the plane of incidence in degrees: the rotation of the specimen. Of a
+        table with a single one it may be left out.
     progress : bool
         Show a progress bar on standard error.
     **settings
         Of :func:`gonio_mi.measure`, such as `rays` for each geometry, `seed`, `side`
         and `period`. Several wavelengths of spectral variants, by default 400 to 700 nm
         in steps of 20 nm, are weighted by illuminant D65, of retroreflection by A, and
-        by the photopic observer V, R, G and B by their luminance.
+        by the photopic observer V, R, G and B by their luminance. Of a table
+        `uncertainty`, `scale_uncertainty` and `aperture_half_angle`, as of
+        :func:`gonio_mi.fit`.
 
     Returns
     -------
@@ -132,9 +166,18 @@ def quantity(
     ------
     TypeError, ValueError
         For an unknown name, a setting that the quantity decides, transmission of an
-        opaque specimen, and as :func:`gonio_mi.measure`.
+        opaque specimen, a table that does not cover a quantity's directions, and as
+        :func:`gonio_mi.measure`.
     """
-    found, _ = quantities(name, specimen, phi_i, progress, settings)
+    if isinstance(specimen, Record):
+        raise SettingTypeError(
+            "specimen must be a specimen or a table, got a record: take its own "
+            "quantity(name), or the table that export writes of it (.csv)"
+        )
+    if isinstance(specimen, MeasuredTable):
+        found = of_table(name, specimen, phi_i, settings)
+    else:
+        found, _ = quantities(name, specimen, phi_i, progress, settings)
     one = isinstance(name, str) and name.partition(":")[0] in DEFINITIONS
     return found[0] if one else found
 
@@ -188,11 +231,34 @@ def quantities(
         # no flux is negative
         low = min(estimate[2], max(estimate[2] - unresolved, 0.0))
         estimate[2:] = low, estimate[3] + unresolved
-        each = Quantity.of(one, own, records[id(own)], estimate, hits)
+        each = Quantity.of(one, own, records[id(own)].settings, estimate, hits)
         found.append(replace(each, unresolved=unresolved))
     if not found:
         raise KeyboardInterrupt
     return tuple(found), stopped
+
+
+def of_table(
+    name: str | Sequence[str],
+    table: MeasuredTable,
+    phi_i: float,
+    settings: Mapping[str, Any],
+) -> tuple[Quantity, ...]:
+    """Quantities of a measured table."""
+    told = {key: value for key, value in settings.items() if value is not None}
+    for key in told.keys() - {*STATED}:
+        raise SettingTypeError(f"{key} applies to a specimen, got a table")
+    table = table.stated(**told)
+    found = []
+    for one in _names(name):
+        own = definition_of(one)
+        e = table_estimate(own, table, phi_i)
+        numbers = np.array([e.value, e.std_err, *e.interval])
+        each = Quantity.of(one, own, {"table": table.name}, numbers, e.n_values)
+        parts, notes, told_by = e.parts, e.notes, "values of the table"
+        each = replace(each, unresolved=e.unresolved, parts=parts)
+        found.append(replace(each, notes=notes, told_by=told_by))
+    return tuple(found)
 
 
 def record_quantity(record: Record, what: Any, over: Any = None) -> Quantity:
@@ -222,7 +288,7 @@ def record_quantity(record: Record, what: Any, over: Any = None) -> Quantity:
         if own.minus or own.diffuse or off:
             light = f"{'parallel ' * parallel}light from {theta_i:g} degrees"
             raise SettingError(f"{what} needs {own.light}, got a record of {light}")
-        return Quantity.of(what, own, record, *evaluated(own, record))
+        return Quantity.of(what, own, record.settings, *evaluated(own, record))
     if np.ndim(what) == 0:
         raise SettingTypeError(
             f"what must be the name of a quantity or weights of patches, got {what!r}"
@@ -236,7 +302,7 @@ def record_quantity(record: Record, what: Any, over: Any = None) -> Quantity:
     own = Definition("weighted sum of patches", "of the record", words=", ".join(where))
     hits = int(record.counts[rows[0] != 0].sum())
     estimate = ratio(_seen(own, record), *rows)
-    return Quantity.of("sum", own, record, estimate, hits)
+    return Quantity.of("sum", own, record.settings, estimate, hits)
 
 
 def definition_of(word: str) -> Definition:

@@ -61,7 +61,10 @@ def test_what_is_no_specimen(name, tmp_path, capsys):
     path = tmp_path / name
     path.write_bytes(CONTENTS.get(name, b"theta_i\n"))
     line = said(capsys, "measure", path, "--theta-i", "30")
-    taken = {"run.npz": "show, plot or report", "table.csv": "show, compare or fit"}
+    taken = {
+        "run.npz": "show, plot or report",
+        "table.csv": "show, compare, fit or quantity",
+    }
     assert (taken | KINDS)[name] in line
 
 
