@@ -65,7 +65,9 @@ def campaign(
         there is an `estimator`, and refused where samples contradict them by more than
         the tolerance; else as many rays as noise of three quarters of the tolerance
         needs, and of a half or a quarter where directions that are never used are near
-        it. The record's setting ``campaign`` holds the errors of these.
+        it. The record's setting ``campaign`` holds the errors of these. Of a specimen
+        that transmits light from behind is measured likewise, unless a `side` is given:
+        it is the record's ``back``, in the same file.
     theta_max : float
         Largest angle of incidence of such a campaign in degrees; beyond, the material
         is what it is there.

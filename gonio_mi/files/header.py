@@ -27,7 +27,10 @@ VERSION = 4
 # Of files that leave out copies of incident directions.
 VERSION_OF_COPIES = 5
 
-VERSIONS = (VERSION, VERSION_OF_COPIES)
+# Of files that hold the back of a material too.
+VERSION_OF_BACK = 6
+
+VERSIONS = (VERSION, VERSION_OF_COPIES, VERSION_OF_BACK)
 
 # Deflate expands by at most 1032 (zlib's technical details). A file that announces more
 # than this many times its own size does not hold what it says.
@@ -41,7 +44,7 @@ def header_of(record: Record) -> dict[str, Any]:
     """
     return {
         "format": FORMAT,
-        "version": VERSION,
+        "version": VERSION if record.back is None else VERSION_OF_BACK,
         "subdivision": str(record.subdivision),
         "theta_i": [None if math.isnan(x) else float(x) for x in record.theta_i],
         "phi_i": [None if math.isnan(x) else float(x) for x in record.phi_i],
@@ -72,7 +75,7 @@ def check_format(header: Any) -> None:
     require(isinstance(header, dict) and header.get("format") == FORMAT, reason)
     version = header.get("version")
     if version not in VERSIONS:
-        newer = isinstance(version, int) and version > VERSION_OF_COPIES
+        newer = isinstance(version, int) and version > VERSION_OF_BACK
         raise FileFormatError(
             f"it has format version {version!r} and this gonio-mi reads "
             f"{', '.join(map(str, VERSIONS))}"

@@ -54,8 +54,9 @@ class Goniometric(mi.BSDF):
        - |string|
        - Record of light that meets the other face, measured with ``side="back"``. For a
          specimen with two equal faces it may be the same file. Of an ``.xml`` the side
-         lit from -z counts. (Default: an ``.xml`` that holds both sides itself, else
-         none, and that face is black)
+         lit from -z counts. (Default: `filename`, if it holds both sides itself, as a
+         campaign with a ``tolerance`` and an ``.xml`` do; else none, and that face is
+         black)
 
     Component 0 is reflection; of a record with light in the lower hemisphere, component
     1 is transmission. A matrix of patches (Klems) holds means over incident patches:
@@ -127,20 +128,18 @@ class Goniometric(mi.BSDF):
                 "goniometric needs a variant that computes with arrays, such as "
                 f"llvm_ad_rgb, got {mi.variant()}"
             )
-        front = _face("goniometric.filename", self.files[0], "front")
-        path = _resolved(self.files[0])
-        is_record = path.lower().endswith(files.ENDINGS)
-        # no record holds light of the back by itself
-        if self.files[1] is None and not is_record:
-            self.files[1] = self.files[0] if ask("exchange", "has_back")(path) else None
+        front, has_back = _face("goniometric.filename", self.files[0], "front")
+        if self.files[1] is None and has_back:
+            self.files[1] = self.files[0]
         back = None
         if self.files[1] is not None:
-            back = _face("goniometric.back_filename", self.files[1], "back")
+            back, _ = _face("goniometric.back_filename", self.files[1], "back")
         elif front.transmits:
             _warn_once(
                 f"{self.files[0]} transmits, but holds no light that "
-                "meets the other face, which is black: name a record measured with "
-                'side="back", or of equal faces the same file, as back_filename',
+                "meets the other face, which is black: measure both with a tolerance "
+                'and no side, or name a record measured with side="back", or of equal '
+                "faces the same file, as back_filename",
             )
         self.faces = [front, back]
         #: patches in which the front and the back were measured
@@ -301,27 +300,32 @@ def _resolved(name: str) -> str:
     return str(mi.file_resolver().resolve(name))
 
 
-def _face(label: str, name: str, side: str) -> InterpolatedBSDF:
-    """Face of the material in a file, in the variant's channels."""
+def _face(label: str, name: str, side: str) -> tuple[InterpolatedBSDF, bool]:
+    """Face of the material in a file, in the variant's channels, and has it a back."""
     try:
-        lobes, wavelengths = _lobes(_resolved(name), side)
+        lobes, wavelengths, has_back = _lobes(_resolved(name), side)
         segments = half_vector_segments(lobes)
         table, patches = lobes.whole(), lobes.measured
         del lobes  # which would be kept until the table's arrays are made
-        return InterpolatedBSDF(table, wavelengths, segments, patches=patches)
+        face = InterpolatedBSDF(table, wavelengths, segments, patches=patches)
+        return face, has_back
     except (ValueError, OSError) as error:
         raise type(error)(f"{label}: {error}") from None
 
 
-def _lobes(path: str, side: str) -> tuple[MeasuredLobes, Floats | None]:
-    """Lobes of a file, and the wavelengths of their channels.
+def _lobes(path: str, side: str) -> tuple[MeasuredLobes, Floats | None, bool]:
+    """Lobes of a file, the wavelengths of their channels, and has it a back.
 
     A record itself is let go, whose batches need more memory than all that follows.
     """
     if path.lower().endswith(files.ENDINGS):
         material: Any = files.load_added_up(path)
+        has_back = material.back is not None
+        if side == "back" and has_back:
+            material = material.back
     else:
         material = ask("exchange", "load_material")(path, side)
+        has_back = ask("exchange", "has_back")(path)
     from_back = isinstance(material, Record) and material.asked.side == "back"
     if side == "front" and from_back:
         _warn_once(
@@ -331,7 +335,8 @@ def _lobes(path: str, side: str) -> tuple[MeasuredLobes, Floats | None]:
     for note in getattr(material, "notes", ()):
         _warn_once(f"{path}: {note}")
     nm = wavelengths_nm(material.channels)
-    return MeasuredLobes(material, _mixture(material.channels, nm is not None)), nm
+    lobes = MeasuredLobes(material, _mixture(material.channels, nm is not None))
+    return lobes, nm, has_back
 
 
 def _mixture(channels: Sequence[str], spectral: bool) -> Floats | None:

@@ -325,8 +325,8 @@ def test_rewriting_alone_changes_nothing(tmp_path):
 
 @pytest.mark.parametrize("rewritten", [rewritten_npz, rewritten_exr])
 def test_other_versions(tmp_path, rewritten):
-    message = refused(rewritten(tmp_path, version=6))
-    assert "version 6" in message
+    message = refused(rewritten(tmp_path, version=7))
+    assert "version 7" in message
     assert "newer gonio-mi" in message
     assert "version 0" in refused(rewritten(tmp_path, version=0))
     assert "not written by gonio-mi" in refused(rewritten(tmp_path, format="other"))
