@@ -354,7 +354,7 @@ def _with_back(front: WholeBsdf, record: Record, materials: list[WholeBsdf]) -> 
     settings = known.settings | {"side": "back"}
     if known.chosen is not None:  # for the front
         settings["collector"] = None
-    asked = known.specimen, known.tolerance, known.where, settings
+    asked = known.specimen, known.tolerance, known.where, settings, known.relative
     name = f"back of {known.name}"
     back = WholeBsdf(MeasuredDirections(name, *asked), front.theta_max)
     materials.append(back)
@@ -371,6 +371,7 @@ def chosen_directions(
     theta_max: float,
     where: ExecutionContext,
     settings: dict[str, Any],
+    relative: float | None = None,
 ) -> dict[str, Record]:
     """Records of the directions that each specimen needs, as `campaign` says.
 
@@ -381,6 +382,9 @@ def chosen_directions(
         "to below 0.5"
     )
     tolerance = checked_number("tolerance", tolerance, MIN_TOLERANCE, 0.5, condition)
+    if relative is not None:
+        at_least = "a number from 0.001 to below 10"
+        relative = checked_number("relative_tolerance", relative, 1e-3, 10, at_least)
     condition = "degrees from 10 to below 89.5"
     theta_max = checked_number("theta_max", theta_max, 10, 89.5, condition)
     temporary = where.folder is None
@@ -389,7 +393,8 @@ def chosen_directions(
     materials: list[WholeBsdf] = []
     try:
         for name, specimen in specimens.items():
-            known = MeasuredDirections(str(name), specimen, tolerance, where, settings)
+            asked = specimen, tolerance, where, settings, relative
+            known = MeasuredDirections(str(name), *asked)
             materials.append(WholeBsdf(known, theta_max))
         return {
             material.name: _with_back(material, material.measured(), materials)
