@@ -29,6 +29,7 @@ def campaign(
     phi_i: ArrayLike = 0.0,
     *,
     tolerance: float | None = None,
+    relative_tolerance: float | None = None,
     theta_max: float = 80.0,
     executor: Executor | int | None = None,
     folder: str | PathLike[str] | None = None,
@@ -65,7 +66,12 @@ def campaign(
         there is an `estimator`, and refused where samples contradict them by more than
         the tolerance; else as many rays as noise of three quarters of the tolerance
         needs, and of a half or a quarter where directions that are never used are near
-        it. The record's setting ``campaign`` holds the errors of these.
+        it. The record's setting ``campaign`` holds the errors of these. Of a specimen
+        that transmits light from behind is measured likewise, unless a `side` is given:
+        it is the record's ``back``, in the same file.
+    relative_tolerance : float, optional
+        With `tolerance`: largest relative error of a patch whose BSDF is at least a
+        tenth of its mean, which is what a picture sees of dim directions.
     theta_max : float
         Largest angle of incidence of such a campaign in degrees; beyond, the material
         is what it is there.
@@ -121,6 +127,8 @@ def campaign(
     where = ExecutionContext(executor, folder, plugins, threads, retries, progress)
     asked = MeasurementSettings.among(settings)
     if tolerance is None:
+        if relative_tolerance is not None:
+            raise SettingError("relative_tolerance applies with a tolerance only")
         incidents, _ = incident_angles(theta_i, phi_i, asked.incident)
         if None in incidents:
             raise SettingError(
@@ -139,6 +147,6 @@ def campaign(
         if value is not None:
             raise SettingError(f"tolerance and {other} are mutually exclusive")
     records: dict[str, Record] = chosen_directions(
-        specimens, tolerance, theta_max, where, settings
+        specimens, tolerance, theta_max, where, settings, relative_tolerance
     )
     return records

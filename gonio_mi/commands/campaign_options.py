@@ -46,6 +46,8 @@ def campaign_options(options: Namespace) -> dict[str, Any]:
 def is_imprecise(record: Record) -> bool:
     """Whether a precision was asked for and not reached."""
     asked, campaign = record.asked.precision, record.provenance.campaign
+    if record.back is not None and is_imprecise(record.back):
+        return True
     if campaign is not None:
         return campaign.within < MIN_WITHIN
     return asked is not None and (record.provenance.reached or 0) > asked

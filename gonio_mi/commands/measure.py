@@ -78,6 +78,7 @@ USAGE = "%(prog)s SPECIMEN [--theta-i DEG ...] [options]"
 # Options of some measurements only, for --help-all.
 RARE = (
     *("--footprint", "--divergence", "--incident", "--emission", "--theta-max"),
+    "--relative-tolerance",
     *("--collector-radius", "--hemispheres", "--max-rays", "--points", "--batches"),
     *("--max-depth", "--max-scatterings", "--rr-depth", "--trace"),
     *("--size-y", "--scale", "--range", "--unit", "--form", "--fill", "--mean-plane"),
@@ -113,6 +114,9 @@ def _add_angles(group: Group) -> None:
     text = "Instead of angles: choose incident directions adaptively until the "
     text += "interpolated BSDF misplaces at most this fraction of the scattered flux."
     add_number(group, "--tolerance", "X", text)
+    text = "With --tolerance: largest relative error of a patch whose BSDF is at least "
+    text += "a tenth of its mean."
+    add_number(group, "--relative-tolerance", "X", text)
     text = "Largest angle of incidence for --tolerance. Default: 80."
     add_number(group, "--theta-max", "DEG", text)
 
@@ -235,7 +239,10 @@ def _measured(
     settings: Mapping[str, Any],
 ) -> Any:
     """Record, measured here and at once or in a campaign; of several orders a dict."""
-    chosen = given_options(options, ("tolerance", "theta_max"))
+    names = "tolerance", "relative_tolerance", "theta_max"
+    chosen = given_options(options, names)
+    if "relative_tolerance" in chosen and "tolerance" not in chosen:
+        raise SettingError("--relative-tolerance applies with --tolerance only")
     if "theta_max" in chosen and "tolerance" not in chosen:
         raise SettingError("--theta-max applies with --tolerance only")
     if orders:

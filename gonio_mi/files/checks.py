@@ -85,6 +85,9 @@ def check_record(record: Record) -> None:
         require(math.isnan(phi) or abs(phi) <= MAX_AZIMUTH, f"its phi_i is {phi:g}")
     for tally in record.tallies:
         _check_tally(tally, record)
+    if record.back is not None:
+        require(record.back.asked.side == "back", "its back was lit from the front")
+        check_record(record.back)
 
 
 def _check_tally(tally: Tally, record: Record) -> None:

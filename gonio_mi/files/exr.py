@@ -22,6 +22,8 @@ The parts of one incident direction, in a stack with its number after a dot:
     Of gradients only: a gain and a loss with each of the setting ``columns``, in the
     same unit; of integrals the derivative of the flux fraction, and its error.
 
+Parts that begin with ``back_`` are those of the back of a material.
+
 Whole numbers beyond 32 bits have their upper half in ``count_high`` and ``sum_high``.
 The first header holds the rest as JSON, ``gonio.record``, and a check sum of the
 content; after the last image there is one of all bytes.
@@ -31,6 +33,7 @@ import hashlib
 import io
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -55,6 +58,9 @@ MAGIC = b"\x76\x2f\x31\x01"
 
 # Parts of a direction that are read: what is exact.
 SUMMED = ("brdf", "btdf", "tally", "integral", "elements", "changes")
+
+# Beginning of the names of parts of the back.
+BACK = "back_"
 
 # Width and height of the picture of a hemisphere, in pixels.
 VIEW_SIZE = 512
@@ -95,6 +101,17 @@ for _part in ("brdf", "btdf"):
 
 def write(record: Record, stream: BinaryIO) -> None:
     """Write `record` to a binary stream."""
+    parts = _parts(record)
+    if record.back is not None:
+        parts += _parts(record.back, BACK, parts[0].header["displayWindow"])
+    image = io.BytesIO()
+    OpenEXR.File(parts).write(image)
+    stream.write(image.getbuffer())
+    stream.write(seal_of(image.getbuffer()))
+
+
+def _parts(record: Record, prefix: str = "", window: Any = None) -> list[Any]:
+    """Parts of a record; of the back with a prefix, and the front's display window."""
     # everything but the patches' sums
     content = header_of(record)
     for name in ("incident", "fates", "direct"):
@@ -108,14 +125,11 @@ def write(record: Record, stream: BinaryIO) -> None:
     for index in range(len(record)):
         for name, layers in pixels(record[index]).items():
             header = attributes(record, index, name)
-            if not parts:
-                header |= exact
-            full_name = _part_name(name, index, len(record))
+            header |= {} if parts else exact
+            header |= {"displayWindow": window} if window else {}
+            full_name = prefix + _part_name(name, index, len(record))
             parts.append(OpenEXR.Part(header, layers, full_name))
-    image = io.BytesIO()
-    OpenEXR.File(parts).write(image)
-    stream.write(image.getbuffer())
-    stream.write(seal_of(image.getbuffer()))
+    return parts
 
 
 def read(stream: BinaryIO, added_up: bool = False) -> Record:
@@ -132,6 +146,17 @@ def read(stream: BinaryIO, added_up: bool = False) -> Record:
     check_seal(stream)
     stream.seek(0)
     every = parts_of(stream)
+    behind = [part for part in every if part.name.startswith(BACK)]
+    record = _record(stream, [part for part in every if part not in behind], added_up)
+    if not behind:
+        return record
+    return replace(record, back=_record(stream, behind, added_up, BACK))
+
+
+def _record(
+    stream: BinaryIO, every: Sequence[Any], added_up: bool, prefix: str = ""
+) -> Record:
+    """Record of parts, whose names begin with a prefix."""
     first = image_of(stream, every[:1]).parts[0].header if every else {}
     text: Any = first.get("gonio.record")
     require(text is not None, "it was not written by gonio-mi")
@@ -144,7 +169,8 @@ def read(stream: BinaryIO, added_up: bool = False) -> Record:
     channels = header.get("channels")
     require(isinstance(channels, list), "its entry channels is not a list")
     names = layer_names(list(map(str, channels)))
-    by_name, digest = {part.name: part for part in every}, hashlib.sha256(text.encode())
+    by_name = {part.name.removeprefix(prefix): part for part in every}
+    digest = hashlib.sha256(text.encode())
     shape = parsed_subdivision(header).shape
 
     def arrays_of(index: int) -> dict[str, Numbers]:
@@ -153,7 +179,9 @@ def read(stream: BinaryIO, added_up: bool = False) -> Record:
         own = [_part_name(name, index, len(fates)) for name in SUMMED]
         image = image_of(stream, [by_name[name] for name in own if name in by_name])
         # without the number in a stack
-        parts = {part.name().partition(".")[0]: part.channels for part in image.parts}
+        names_of = (part.name().removeprefix(prefix) for part in image.parts)
+        of_parts = (part.channels for part in image.parts)
+        parts = {name.partition(".")[0]: own for name, own in zip(names_of, of_parts)}
         arrays = _sums(parts, names, shape, len(fates[index]), kind)
         _include(digest, arrays)
         return arrays | {key: rows[index] for key, rows in per_batch.items()}

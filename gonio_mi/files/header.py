@@ -35,10 +35,10 @@ VERSION = 4
 # Of files that leave out copies of incident directions.
 VERSION_OF_COPIES = 5
 
-# Of files with gradients.
-VERSION_OF_GRADIENTS = 6
+# Of files with gradients, or with the back of a material.
+VERSION_OF_MORE = 6
 
-VERSIONS = (VERSION, VERSION_OF_COPIES, VERSION_OF_GRADIENTS)
+VERSIONS = (VERSION, VERSION_OF_COPIES, VERSION_OF_MORE)
 
 # Deflate expands by at most 1032 (zlib's technical details). A file that announces more
 # than this many times its own size does not hold what it says.
@@ -50,9 +50,10 @@ def header_of(record: Record) -> dict[str, Any]:
 
     Angles are in degrees; None where the incident direction is unknown.
     """
+    more = record.provenance.columns or record.back is not None
     return {
         "format": FORMAT,
-        "version": VERSION_OF_GRADIENTS if record.provenance.columns else VERSION,
+        "version": VERSION_OF_MORE if more else VERSION,
         "subdivision": str(record.subdivision),
         "theta_i": [None if math.isnan(x) else float(x) for x in record.theta_i],
         "phi_i": [None if math.isnan(x) else float(x) for x in record.phi_i],

@@ -12,6 +12,8 @@ Where a campaign has copied directions by a symmetry of the specimen, their sums
 left out, and `copies` has a row for each incident direction: the number of that which
 it copies (its own, if it was measured), by how many sectors it is turned, and whether
 it is mirrored at azimuth 0 before.
+
+Of a whole material that transmits, ``back.npz`` is another such file: of its back.
 """
 
 import io
@@ -30,7 +32,9 @@ from ..results.record import Record
 from .checks import PIECE, SEAL_LENGTH, check_seal, require, seal_of, size_of
 from .header import (
     MAX_EXPANSION,
+    VERSION,
     VERSION_OF_COPIES,
+    VERSION_OF_MORE,
     check_format,
     header_of,
     json_of,
@@ -63,6 +67,7 @@ TALLIES = {
 INTEGRALS = {"errors": ("float64 uint64", 5)}
 COLUMNS = {"elements": ("float64", 6), "changes": ("float64", 6)}
 COPIES = {"copies": ("int64", 2)}
+BACK = "back.npz"
 
 # Arrays that are of all batches together.
 WHOLE = ("hits", "errors")
@@ -77,7 +82,8 @@ def write(record: Record, stream: BinaryIO) -> None:
     own = [n for n, (source, _) in enumerate(origins) if n == source]
     tallies = [record.tallies[n] for n in own]
     if len(own) < len(record):
-        arrays["version"] = np.array(VERSION_OF_COPIES)
+        if header["version"] == VERSION:
+            arrays["version"] = np.array(VERSION_OF_COPIES)
         rows = [(source, motion.by, motion.mirrored) for source, motion in origins]
         arrays["copies"] = np.array(rows, np.int64)
     arrays["n_batches"] = np.array([tally.n_batches for tally in tallies])
@@ -96,6 +102,10 @@ def write(record: Record, stream: BinaryIO) -> None:
                 parts = (part[None] for part in parts)
             with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
                 _write_joined(file, list(parts))
+        if record.back is not None:
+            back = io.BytesIO()
+            write(record.back, back)
+            archive.writestr(zipfile.ZipInfo(BACK), back.getbuffer())  # not deflated
     unsealed = content.getbuffer()[:-SEAL_LENGTH]
     stream.write(unsealed)
     stream.write(seal_of(unsealed))
@@ -142,8 +152,11 @@ def read(stream: BinaryIO, added_up: bool = False) -> Record:
         expected = TALLIES | (INTEGRALS if "errors.npy" in members else {})
         held = (name for name in COLUMNS if f"{name}.npy" in members)
         expected |= {name: COLUMNS[name] for name in held}
-        expected |= COPIES if header["version"] == VERSION_OF_COPIES else {}
+        version = header["version"]
+        may_copy = version == VERSION_OF_MORE and "copies.npy" in members
+        expected |= COPIES if version == VERSION_OF_COPIES or may_copy else {}
         known = {f"{name}.npy" for name in HEADER | expected}
+        known |= {BACK} & members.keys() if version == VERSION_OF_MORE else set()
         own = members.keys() == known and len(archive.infolist()) == len(known)
         require(own, "its arrays are not those of a record")
         batches = _opened(archive, members, "n_batches", expected)
@@ -163,8 +176,14 @@ def read(stream: BinaryIO, added_up: bool = False) -> Record:
         check_memory("its content", needed, "open it on a larger machine")
         content = _tallies(opened, n_batches)
         if copies is None:
-            return rebuilt(header, content, n_all, added_up)
-        return _with_copies(header, content, len(n_batches), copies, added_up)
+            record = rebuilt(header, content, n_all, added_up)
+        else:
+            record = _with_copies(header, content, len(n_batches), copies, added_up)
+        if BACK not in members:
+            return record
+        require(members[BACK].file_size <= size, "its back is compressed")
+        back = io.BytesIO(archive.read(BACK))
+        return replace(record, back=read(back, added_up))
 
 
 def _tallies(

@@ -54,8 +54,9 @@ class Goniometric(mi.BSDF):
        - |string|
        - Record of light that meets the other face, measured with ``side="back"``. For a
          specimen with two equal faces it may be the same file. Of an ``.xml`` the side
-         lit from -z counts. (Default: an ``.xml`` that holds both sides itself, else
-         none, and that face is black)
+         lit from -z counts. (Default: `filename`, if it holds both sides itself, as a
+         campaign with a ``tolerance`` and an ``.xml`` do; else none, and that face is
+         black)
 
     Component 0 is reflection; of a record with light in the lower hemisphere, component
     1 is transmission. A matrix of patches (Klems) holds means over incident patches:
@@ -63,15 +64,15 @@ class Goniometric(mi.BSDF):
     patch of exit, as in Radiance. Of other records, at an incident direction of the
     record, the BSDF is the record: its means over patches are those measured, and
     within a patch it is linear, as the patches around suggest. Between two polar angles
-    the lobes of both *move* to the place that lies between them, and are mixed linearly
-    in
-    :math:`\sin\theta_i`, and so are reflectance and transmittance. On each of these
-    segments, and for either hemisphere on its own, they move in the way by which the
-    record's nearest angle is better predicted from the next smaller and the next larger
-    one: either by the quantiles of their light, along the plane of incidence and then
-    across it, over the disk onto which the hemisphere projects; or to where the same
-    micro-normals (half vectors) reflect to, or refract to with the refractive index
-    that fits the records. A mirror lobe stays at the mirror angle in both ways.
+    the lobes of both are mixed linearly in :math:`\sin\theta_i`, and so are
+    reflectance and transmittance. On each of these segments, and for either hemisphere
+    on its own, the lobes *move* to where the same micro-normals (half vectors) reflect
+    to, or refract to with the refractive index that fits the records, if the record's
+    nearest angle is better predicted so from the next smaller and the next larger one.
+    Else those of isotropic records move by the quantiles of their light, along the
+    plane of incidence and then across it, over the disk onto which the hemisphere
+    projects; of anisotropic ones, of which this would slow pictures down threefold,
+    they stay. A mirror lobe that moves stays at the mirror angle in both ways.
     Azimuths turn with that of incidence; between two measured azimuths both neighbours
     are mixed. First they are moved by their micro-normals, if this predicts records of
     four azimuths or more better from their neighbours. What would go beyond the horizon
@@ -127,20 +128,18 @@ class Goniometric(mi.BSDF):
                 "goniometric needs a variant that computes with arrays, such as "
                 f"llvm_ad_rgb, got {mi.variant()}"
             )
-        front = _face("goniometric.filename", self.files[0], "front")
-        path = _resolved(self.files[0])
-        is_record = path.lower().endswith(files.ENDINGS)
-        # no record holds light of the back by itself
-        if self.files[1] is None and not is_record:
-            self.files[1] = self.files[0] if ask("exchange", "has_back")(path) else None
+        front, has_back = _face("goniometric.filename", self.files[0], "front")
+        if self.files[1] is None and has_back:
+            self.files[1] = self.files[0]
         back = None
         if self.files[1] is not None:
-            back = _face("goniometric.back_filename", self.files[1], "back")
+            back, _ = _face("goniometric.back_filename", self.files[1], "back")
         elif front.transmits:
             _warn_once(
                 f"{self.files[0]} transmits, but holds no light that "
-                "meets the other face, which is black: name a record measured with "
-                'side="back", or of equal faces the same file, as back_filename',
+                "meets the other face, which is black: measure both with a tolerance "
+                'and no side, or name a record measured with side="back", or of equal '
+                "faces the same file, as back_filename",
             )
         self.faces = [front, back]
         #: patches in which the front and the back were measured
@@ -191,11 +190,12 @@ class Goniometric(mi.BSDF):
         bs = dr.zeros(mi.BSDFSample3f)
         for side, guide, hemispheres in self._guides(ctx):
             lit = active & (si.wi.z * side > 0)
+            seen = _seen(si.wi, side)
             if ctx.mode == mi.TransportMode.Importance:
-                wo = guide.sample(_seen(si.wi, side), hemispheres, sample1, sample2)
+                wo = _drawn(guide, hemispheres, lit, seen, sample1, sample2)
             else:
                 rest = (sample1 - EVEN) / (1 - EVEN)
-                wo = guide.sample(_seen(si.wi, side), hemispheres, rest, sample2)
+                wo = _drawn(guide, hemispheres, lit, seen, rest, sample2)
                 even = mi.warp.square_to_cosine_hemisphere(sample2)
                 below = (sample1 > EVEN / 2) | ~mi.Bool(hemispheres[0])
                 even.z = dr.select(below & hemispheres[1], -even.z, even.z)
@@ -223,8 +223,9 @@ class Goniometric(mi.BSDF):
         for side, guide, hemispheres in self._guides(ctx):
             lit = active & (si.wi.z * side > 0)
             seen = _seen(wo, side)
-            _, density = guide.eval_pdf(
-                _seen(si.wi, side), seen, hemispheres, lit, si.wavelengths
+            directions = _seen(si.wi, side), seen
+            _, density = _looked_up(
+                guide, hemispheres, lit, *directions, si.wavelengths
             )
             wanted = dr.select(seen.z < 0, hemispheres[1], hemispheres[0])
             even = dr.select(wanted, dr.abs(wo.z) * dr.inv_pi / sum(hemispheres), 0)
@@ -244,12 +245,9 @@ class Goniometric(mi.BSDF):
         for face, side in zip(self.faces, SIDES):
             if face is not None:
                 lit = active & (to_emitter.z * side > 0)
-                face_value, face_pdf = face.eval_pdf(
-                    _seen(to_emitter, side),
-                    _seen(detector, side),
-                    self._enabled(ctx),
-                    lit,
-                    wavelengths,
+                directions = _seen(to_emitter, side), _seen(detector, side)
+                face_value, face_pdf = _looked_up(
+                    face, self._enabled(ctx), lit, *directions, wavelengths
                 )
                 value += face_value & lit
                 pdf += dr.select(lit, face_pdf, 0)
@@ -284,6 +282,49 @@ class Goniometric(mi.BSDF):
         return f"Goniometric[filename={self.files[0]}, back_filename={self.files[1]}]"
 
 
+def _looked_up(
+    face: InterpolatedBSDF,
+    hemispheres: tuple[bool, bool],
+    lit: mi.Bool,
+    wi: mi.Vector3f,
+    wo: mi.Vector3f,
+    wavelengths: mi.Spectrum,
+) -> tuple[mi.Spectrum, mi.Float]:
+    """Value and density of a face; where no lane of a vector is lit, none is asked."""
+    lit = (
+        lit & (dr.abs(wi.z) >= 0) & (dr.abs(wo.z) >= 0)
+    )  # as wide as all that is asked for
+
+    def asked(wi: Any, wo: Any, nm: Any) -> tuple[mi.Spectrum, mi.Float]:
+        return face.eval_pdf(wi, wo, hemispheres, lit, nm)
+
+    def nothing(*_: Any) -> tuple[mi.Spectrum, mi.Float]:
+        return mi.UnpolarizedSpectrum(0), mi.Float(0)
+
+    found: tuple[mi.Spectrum, mi.Float]
+    found = dr.if_stmt((wi, wo, wavelengths), lit, asked, nothing)
+    return found
+
+
+def _drawn(
+    face: InterpolatedBSDF,
+    hemispheres: tuple[bool, bool],
+    lit: mi.Bool,
+    wi: mi.Vector3f,
+    sample1: mi.Float,
+    sample2: mi.Point2f,
+) -> mi.Vector3f:
+    """Direction drawn of a face; where no lane of a vector is lit, none is."""
+    lit = lit & (dr.abs(sample1) >= 0) & (dr.abs(sample2.x) >= 0) & (dr.abs(wi.z) >= 0)
+
+    def asked(wi: Any, sample1: Any, sample2: Any) -> mi.Vector3f:
+        return face.sample(wi, hemispheres, sample1, sample2)
+
+    found: mi.Vector3f
+    found = dr.if_stmt((wi, sample1, sample2), lit, asked, lambda *_: mi.Vector3f(0))
+    return found
+
+
 def _seen(v: mi.Vector3f, side: int) -> mi.Vector3f:
     """Return `v` seen from the face on that side."""
     return mi.Vector3f(v.x, v.y, v.z * side)
@@ -301,27 +342,32 @@ def _resolved(name: str) -> str:
     return str(mi.file_resolver().resolve(name))
 
 
-def _face(label: str, name: str, side: str) -> InterpolatedBSDF:
-    """Face of the material in a file, in the variant's channels."""
+def _face(label: str, name: str, side: str) -> tuple[InterpolatedBSDF, bool]:
+    """Face of the material in a file, in the variant's channels, and has it a back."""
     try:
-        lobes, wavelengths = _lobes(_resolved(name), side)
+        lobes, wavelengths, has_back = _lobes(_resolved(name), side)
         segments = half_vector_segments(lobes)
         table, patches = lobes.whole(), lobes.measured
         del lobes  # which would be kept until the table's arrays are made
-        return InterpolatedBSDF(table, wavelengths, segments, patches=patches)
+        face = InterpolatedBSDF(table, wavelengths, segments, patches=patches)
+        return face, has_back
     except (ValueError, OSError) as error:
         raise type(error)(f"{label}: {error}") from None
 
 
-def _lobes(path: str, side: str) -> tuple[MeasuredLobes, Floats | None]:
-    """Lobes of a file, and the wavelengths of their channels.
+def _lobes(path: str, side: str) -> tuple[MeasuredLobes, Floats | None, bool]:
+    """Lobes of a file, the wavelengths of their channels, and has it a back.
 
     A record itself is let go, whose batches need more memory than all that follows.
     """
     if path.lower().endswith(files.ENDINGS):
         material: Any = files.load_added_up(path)
+        has_back = material.back is not None
+        if side == "back" and has_back:
+            material = material.back
     else:
         material = ask("exchange", "load_material")(path, side)
+        has_back = ask("exchange", "has_back")(path)
     from_back = isinstance(material, Record) and material.asked.side == "back"
     if side == "front" and from_back:
         _warn_once(
@@ -331,7 +377,8 @@ def _lobes(path: str, side: str) -> tuple[MeasuredLobes, Floats | None]:
     for note in getattr(material, "notes", ()):
         _warn_once(f"{path}: {note}")
     nm = wavelengths_nm(material.channels)
-    return MeasuredLobes(material, _mixture(material.channels, nm is not None)), nm
+    lobes = MeasuredLobes(material, _mixture(material.channels, nm is not None))
+    return lobes, nm, has_back
 
 
 def _mixture(channels: Sequence[str], spectral: bool) -> Floats | None:

@@ -82,6 +82,8 @@ class MeasuredDirections:
     where : ExecutionContext
     settings : dict
         All other settings of a measurement.
+    relative : float, optional
+        Largest relative error of a bright patch; see the same.
 
     Attributes
     ----------
@@ -102,7 +104,9 @@ class MeasuredDirections:
         tolerance: float,
         where: ExecutionContext,
         settings: dict[str, Any],
+        relative: float | None = None,
     ) -> None:
+        self.relative = relative
         for other in ("rays", "rel_err", "noise"):
             if settings.get(other) is not None:
                 raise SettingError(f"tolerance and {other} are mutually exclusive")
@@ -346,7 +350,10 @@ class MeasuredDirections:
         self, prediction: Prediction, theta: float, phi: float
     ) -> PredictionError:
         """Error of a prediction at a known direction."""
-        return prediction_error(self.records[theta, phi], prediction.flux(theta, phi))
+        found = prediction_error(self.records[theta, phi], prediction.flux(theta, phi))
+        if self.relative is None:
+            return found
+        return replace(found, relative_weight=self.tolerance / self.relative)
 
     def expected_error(self, prediction: Prediction, theta: float, phi: float) -> float:
         """Error of a prediction at a known direction, with what noise there hides."""

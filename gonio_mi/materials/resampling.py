@@ -24,7 +24,7 @@ from ..results.record import Record, fractions_of
 from .interpolation.incident_grid import patches_of_incidence
 from .interpolation.interpolated_bsdf import InterpolatedBSDF, half_vector_segments
 from .interpolation.lobes import MeasuredLobes
-from .interpolation.lookups import seen_from
+from .interpolation.lookups import seen_from, turn_by
 
 # Fraction of the flux that values at points may miss before it is carried.
 MAX_MISSED = 0.01
@@ -134,7 +134,7 @@ class Material:
         lower = wo.z < 0
         wanted = (wo.z != 0) & ((self.n_hemispheres > 1) | ~lower)
         row = row * self.n_hemispheres + dr.select(lower, mi.UInt32(1), 0)
-        point = seen_from(wo, phi_i)
+        point = seen_from(wo, turn_by(phi_i))
         return self._face.lobes.measured.values(row, phi_i, point, wanted), wanted
 
     def totals(

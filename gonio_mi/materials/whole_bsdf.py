@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..campaigns.execution import ExecutionContext
-from ..errors import checked_number, warn
+from ..errors import SpecimenError, checked_number, warn
 from ..results.azimuth_symmetry import AzimuthSymmetry, Motion, azimuth_of
 from ..results.campaign_outcome import MAX_LOOKS, CampaignOutcome, PredictionError
 from ..results.record import Record
@@ -58,6 +58,10 @@ N_UNSEEN, MAX_MISSES = 40, 2
 # Misses of a look that are mended where they are; for more, azimuths are refined all
 # over, to half the limit: about what noise alone makes, so that most gaps are halved.
 MAX_LOCAL_MISSES = 1
+
+# Fraction of the scattered flux above which a specimen transmits, and light from behind
+# is measured too: rays that slip between triangles are fewer.
+MIN_TRANSMITTED = 1e-3
 
 # What helps where directions never used go on missing the tolerance, and why.
 OUTGROWN = (
@@ -338,12 +342,36 @@ class WholeBsdf:
         return record.with_provenance(campaign=outcome)
 
 
+def _with_back(front: WholeBsdf, record: Record, materials: list[WholeBsdf]) -> Record:
+    """Record with that of light from behind, if the specimen transmits.
+
+    A side that was asked for is alone. `materials` gets what is measured besides.
+    """
+    known, flux = front.directions, record.flux_fraction
+    transmits = flux[:, 1:].sum() > MIN_TRANSMITTED * flux.sum()
+    if known.settings.get("side") or record.asked.side == "back" or not transmits:
+        return record
+    settings = known.settings | {"side": "back"}
+    if known.chosen is not None:  # for the front
+        settings["collector"] = None
+    asked = known.specimen, known.tolerance, known.where, settings, known.relative
+    name = f"back of {known.name}"
+    back = WholeBsdf(MeasuredDirections(name, *asked), front.theta_max)
+    materials.append(back)
+    try:
+        return replace(record, back=back.measured())
+    except SpecimenError as error:
+        warn(f"{known.name} transmits, and its back was not measured: {error}")
+        return record
+
+
 def chosen_directions(
     specimens: Mapping[str, Any],
     tolerance: float,
     theta_max: float,
     where: ExecutionContext,
     settings: dict[str, Any],
+    relative: float | None = None,
 ) -> dict[str, Record]:
     """Records of the directions that each specimen needs, as `campaign` says.
 
@@ -354,6 +382,9 @@ def chosen_directions(
         "to below 0.5"
     )
     tolerance = checked_number("tolerance", tolerance, MIN_TOLERANCE, 0.5, condition)
+    if relative is not None:
+        at_least = "a number from 0.001 to below 10"
+        relative = checked_number("relative_tolerance", relative, 1e-3, 10, at_least)
     condition = "degrees from 10 to below 89.5"
     theta_max = checked_number("theta_max", theta_max, 10, 89.5, condition)
     temporary = where.folder is None
@@ -362,9 +393,13 @@ def chosen_directions(
     materials: list[WholeBsdf] = []
     try:
         for name, specimen in specimens.items():
-            known = MeasuredDirections(str(name), specimen, tolerance, where, settings)
+            asked = specimen, tolerance, where, settings, relative
+            known = MeasuredDirections(str(name), *asked)
             materials.append(WholeBsdf(known, theta_max))
-        return {material.name: material.measured() for material in materials}
+        return {
+            material.name: _with_back(material, material.measured(), materials)
+            for material in list(materials)
+        }
     except KeyboardInterrupt:
         n_kept = sum(material.directions.n_kept for material in materials)
         if not (temporary and n_kept):

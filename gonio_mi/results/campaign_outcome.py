@@ -6,7 +6,7 @@ A mapping in files and in ``record.settings``, elsewhere a :class:`CampaignOutco
 from __future__ import annotations
 
 import textwrap
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,8 +21,8 @@ MAX_LOOKS, CONFIDENCE = 10, 0.95
 # Equal parts of a whole turn that a specimen may be turned by: no more than degrees.
 MAX_TURNS = 360
 
-# Numbers of a mapping are smaller.
-MAX_NUMBER = 1e15
+# Numbers of a mapping are smaller, and a row of it holds so many.
+MAX_NUMBER, N_NUMBERS = 1e15, 6
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,11 @@ class PredictionError:
         Of `total_variation`, by what the measurement is wrong.
     dhr, dht : float
         Predicted less measured reflectance, and transmittance.
+    relative : float, optional
+        Largest relative error of a patch whose BSDF is at least a tenth of its mean, as
+        a picture shows it, beyond three standard errors; no part of the flux.
+    relative_weight : float
+        How many of `error` this is, where a campaign was asked for it.
     """
 
     theta_i: float
@@ -52,11 +57,14 @@ class PredictionError:
     std_err: float
     dhr: float
     dht: float
+    relative: float | None = None
+    relative_weight: float = 0.0
 
     @property
     def error(self) -> float:
-        """The largest of all three, without sign."""
-        return max(self.total_variation, abs(self.dhr), abs(self.dht))
+        """The largest of all three, without sign, and of the weighted relative one."""
+        seen = self.relative_weight * (self.relative or 0.0)
+        return max(self.total_variation, abs(self.dhr), abs(self.dht), seen)
 
     def exceeds(self, tolerance: float) -> bool:
         """Whether the error is above the tolerance, beyond two standard errors."""
@@ -113,6 +121,9 @@ class CampaignOutcome:
             symmetry = found.get("symmetry", {"turns": 1, "mirror": None, "copies": []})
             mirror = symmetry["mirror"]
             numbers = ("tolerance", "theta_max", "measured", "rays", "within")
+            weight = _number(found.get("relative_weight", 0))
+            relative = found.get("relative") or [None] * len(found["unseen"])
+            relative = [None if one is None else _number(one) for one in relative]
             outcome = cls(
                 **{name: _number(found[name]) for name in numbers},
                 isotropic=found["isotropic"],
@@ -120,7 +131,12 @@ class CampaignOutcome:
                 mirror=None if mirror is None else _number(mirror),
                 copies=tuple((_number(a), _number(b)) for a, b in symmetry["copies"]),
                 unseen=tuple(
-                    PredictionError(*map(_number, row)) for row in found["unseen"]
+                    replace(
+                        PredictionError(*map(_number, row[:N_NUMBERS])),
+                        relative=one,
+                        relative_weight=weight,
+                    )
+                    for row, one in zip(found["unseen"], relative, strict=True)
                 ),
             )
             if not (
@@ -137,6 +153,11 @@ class CampaignOutcome:
 
     def as_mapping(self) -> dict[str, Any]:
         """The outcome in JSON's types."""
+        seen: dict[str, Any] = {}
+        if any(one.relative is not None for one in self.unseen):
+            seen["relative"] = [one.relative for one in self.unseen]
+        if self.unseen[0].relative_weight:
+            seen["relative_weight"] = self.unseen[0].relative_weight
         return {
             "tolerance": self.tolerance,
             "theta_max": self.theta_max,
@@ -149,7 +170,8 @@ class CampaignOutcome:
             "measured": self.measured,
             "rays": self.rays,
             "within": self.within,
-            "unseen": [list(astuple(one)) for one in self.unseen],
+            "unseen": [list(astuple(one)[:N_NUMBERS]) for one in self.unseen],
+            **seen,
         }
 
     def text(self, n_used: int, width: int) -> str:
@@ -178,10 +200,24 @@ class CampaignOutcome:
             "variation distance) on average and "
             f"{worst.total_variation:.2g} +- {worst.std_err:.1g} ({known}) at the "
             f"worst, theta_i {worst.theta_i:.1f}, phi_i {worst.phi_i:.1f}; dhr and dht "
-            f"are off by up to {max(reflected):.2g}."
+            f"are off by up to {max(reflected):.2g}.{self._seen_text()}"
         )
         return textwrap.fill(
             text, width, initial_indent=f"{'material':<10}", subsequent_indent=" " * 10
+        )
+
+    def _seen_text(self) -> str:
+        """What a picture sees."""
+        known = [one for one in self.unseen if one.relative is not None]
+        if not known:
+            return ""
+        worst = max(known, key=lambda one: one.relative or 0.0)
+        asked = worst.relative_weight
+        limit = f" ({self.tolerance / asked:.3g} was asked for)" if asked else ""
+        return (
+            f" Where the BSDF is above a tenth of its mean, a patch is off by up to "
+            f"{worst.relative:.2g} of its value{limit}, theta_i {worst.theta_i:.1f}, "
+            f"phi_i {worst.phi_i:.1f}."
         )
 
     def _symmetry_text(self) -> str:

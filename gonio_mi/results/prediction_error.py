@@ -6,8 +6,13 @@ import numpy as np
 
 from ..array_types import Floats
 from .campaign_outcome import PredictionError
+from .planning import lobe
 from .record import Record
 from .tally import Integrals, Tally
+
+# Standard errors of a patch that are noise, not an error of what predicts it: of a
+# thousand patches the worst has some three.
+N_STD_ERRS = 3
 
 
 def prediction_error(record: Record, predicted: Floats) -> PredictionError:
@@ -51,7 +56,22 @@ def prediction_error(record: Record, predicted: Floats) -> PredictionError:
     totals = difference.sum(axis=(1, 2, 3)) / total
     dhr, dht = (*totals, 0.0)[:2]
     angles = record.theta_i[0], record.phi_i[0]
-    return PredictionError(*map(float, (*angles, distance, std_err, dhr, dht)))
+    relative = _relative_error(record, flux, predicted)
+    numbers = *angles, distance, std_err, dhr, dht, relative
+    return PredictionError(*map(float, numbers))
+
+
+def _relative_error(record: Record, flux: Floats, predicted: Floats) -> float:
+    """Largest relative error of a patch worth reporting, beyond its noise."""
+    areas = record.subdivision.projected_solid_angles
+    each = [np.reshape(record.brdf_std_err, (*areas.shape, -1))]
+    if record.btdf_std_err is not None:
+        each.append(np.reshape(record.btdf_std_err, (*areas.shape, -1)))
+    noise = N_STD_ERRS * np.stack(each) * areas[..., None]
+    bright = [lobe(one / areas, areas) for one in np.moveaxis(flux, -1, 0)]
+    excess = np.abs(predicted - flux) - np.broadcast_to(noise, flux.shape)
+    relative = excess / np.where(flux > 0, flux, 1)
+    return float(np.nanmax(relative[np.stack(bright, axis=-1)], initial=0))
 
 
 def expected_noise(record: Record) -> float:

@@ -64,7 +64,12 @@ class Record(MeasuredValues, Differentiated):
         How it came about.
     stacked : bool
         Whether it was asked for as a stack.
+    back : Record, optional
+        Of a whole material that transmits, what is measured with light from behind, as
+        with ``side="back"``. All else here is of the front alone.
     """
+
+    back: Record | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "asked", self._known(self.asked))
@@ -109,6 +114,7 @@ class Record(MeasuredValues, Differentiated):
             ),
             provenance=Provenance.stacked([one.provenance for one in records]),
             stacked=True,
+            back=None,
         )
 
     def __iter__(self) -> Iterator[Record]:
@@ -133,6 +139,7 @@ class Record(MeasuredValues, Differentiated):
             phi_i=self.phi_i[part],
             tallies=tallies,
             stacked=isinstance(index, slice),
+            back=None,
         )
 
     def _checked_index(self, index: object) -> int:
@@ -166,6 +173,7 @@ class Record(MeasuredValues, Differentiated):
             and self.provenance == other.provenance
             and self.stacked == other.stacked
             and self.tallies == other.tallies
+            and self.back == other.back
         )
 
     def __repr__(self) -> str:
@@ -206,7 +214,11 @@ class Record(MeasuredValues, Differentiated):
         provenance = self.provenance.merged(other.provenance)
         tallies = tuple(a + b for a, b in zip(self.tallies, other.tallies))
         channels = max(self.channels, other.channels, key=len)
-        return replace(self, tallies=tallies, channels=channels, provenance=provenance)
+        backs = self.back, other.back
+        back = backs[0].merge(backs[1]) if backs[0] and backs[1] else None
+        return replace(
+            self, tallies=tallies, channels=channels, provenance=provenance, back=back
+        )
 
     @cached_property
     def settings(self) -> Mapping[str, Any]:
@@ -364,3 +376,9 @@ def checked_records(given: Any, several: bool = True) -> list[Record]:
         text = f"record must be a Record{' or several' * several}, got {shown(given)}"
         raise SettingTypeError(text)
     return records
+
+
+def both_sides(records: Iterable[Record]) -> list[Record]:
+    """Records, and those of their backs."""
+    pairs = ((replace(one, back=None), one.back) for one in records)
+    return [one for pair in pairs for one in pair if one is not None]

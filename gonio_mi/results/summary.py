@@ -143,12 +143,15 @@ class Summary:
         mean.
     warnings : list of str
         Sentences on what makes the record doubtful, or its bits hard to repeat.
+    back : Summary, optional
+        Of the record's back.
     """
 
     record: Record
     directions: list[DirectionSummary]
     worst_patches: list[PatchSummary]
     warnings: list[str]
+    back: Summary | None = None
 
     @property
     def integrals(self) -> bool:
@@ -170,6 +173,7 @@ class Summary:
         settings["collector"] = str(record.subdivision)
         settings["hemispheres"] = "both" if record.has_lower else "upper"
         settings["channels"] = list(record.channels)
+        back = {} if self.back is None else {"back": self.back.as_mapping()}
         return {
             "integrals": self.integrals,
             "settings": settings,
@@ -181,6 +185,7 @@ class Summary:
             "ledger": self.ledger,
             "worst_patches": [asdict(one) for one in self.worst_patches],
             "warnings": self.warnings,
+            **back,
         }
 
 
@@ -206,7 +211,8 @@ def summarize(record: Record) -> Summary:
     patches = [patch for look in looks for patch in _worst_patches(look)]
     patches.sort(key=lambda patch: -patch.rel_err)
     warnings = _warnings(record, directions)
-    return Summary(record, directions, patches[:N_WORST], warnings)
+    back = None if record.back is None else summarize(record.back)
+    return Summary(record, directions, patches[:N_WORST], warnings, back)
 
 
 def _direction(look: Record) -> DirectionSummary:

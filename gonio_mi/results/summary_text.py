@@ -75,6 +75,8 @@ def summary_text(
         # what decides, below a table that may be long
         n_used = len(summary.directions) - len(_copies(summary))
         blocks.append(campaign.text(n_used, WIDTH))
+    if summary.back is not None:
+        blocks += ["lit from behind:", summary_text(summary.back, most_rows, stokes)]
     return "\n\n".join(blocks)
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import mitsuba as mi
 
-from . import commands, growth, reference_cases, round_trips, stock, windows
+from . import commands, growth, materials, reference_cases, round_trips, stock, windows
 from .automatic import print_auto_costs, print_auto_coverage
 from .batch_designs import print_ratios
 from .counting import print_rates
@@ -22,6 +22,7 @@ from .turbid_layer import layer_contests, print_layer_speeds
 TABLES = {
     "commands": commands.main,
     "growth": growth.main,
+    "materials": materials.main,
     "reference_cases": reference_cases.main,
     "round_trips": round_trips.main,
     "stock": stock.main,

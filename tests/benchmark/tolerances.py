@@ -63,7 +63,7 @@ def _cases() -> dict[str, Case]:
     return {
         "conductor 0.3": Case(conductor | {"alpha": 0.3}),
         "plastic 0.3": Case({"type": "roughplastic", "alpha": 0.3}),
-        "glass 0.3, outside": Case(glass),
+        "glass 0.3, outside": Case(glass, {"side": "front"}),
         "glass 0.3, inside": Case(glass, {"side": "back"}),
         "brushed 0.15 x 0.4": Case(conductor | {"alpha_u": 0.15, "alpha_v": 0.4}),
         "conductor 0.05": Case(conductor | {"alpha": 0.05}),

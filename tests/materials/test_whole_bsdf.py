@@ -41,7 +41,7 @@ from gonio_mi.materials.refinement import Axis, IncidentRings, Interval, refined
 from gonio_mi.materials.resolution import check_peaks, delta_fraction
 from gonio_mi.materials.whole_bsdf import N_COARSE, N_FIRST, N_UNSEEN, WholeBsdf
 from gonio_mi.results.azimuth_symmetry import AzimuthSymmetry
-from gonio_mi.results.campaign_outcome import PredictionError
+from gonio_mi.results.campaign_outcome import CampaignOutcome, PredictionError
 from gonio_mi.results.prediction_error import expected_noise, prediction_error
 from gonio_mi.results.provenance import Provenance
 from gonio_mi.settings import Estimator, MeasurementSettings
@@ -174,6 +174,43 @@ def test_a_lobe_in_another_place_is_misplaced_light():
     assert abs(error.dhr + 0.1) <= DOUBLE
     assert error.dht == 0
     assert error.error >= 0.1 - DOUBLE
+
+
+def test_what_a_picture_sees_is_the_worst_bright_patch():
+    """Beyond three standard errors, exact; twins: a dim patch, and noise."""
+    record = counted(lobe(60), 20000)
+    flux, areas = record.flux_fraction, record.subdivision.projected_solid_angles
+    brdf = record.brdf[..., 0]
+    bright = np.unravel_index(np.argmax(brdf), brdf.shape)
+    dim = np.unravel_index(np.argmin(brdf), brdf.shape)
+    assert brdf[dim] < 0.1 * (brdf * areas).sum() / areas.sum()
+    for patch, seen in ((bright, True), (dim, False), (None, False)):
+        wrong = flux.copy()
+        if patch is not None:
+            wrong[0][patch] *= 2
+        relative = prediction_error(record, wrong).relative
+        noise = 3 * record.brdf_std_err[bright] / record.brdf[bright]
+        assert abs(relative - seen * (1 - noise[0])) <= DOUBLE
+
+
+def test_a_tolerance_of_what_a_picture_sees():
+    """It is an error like the others, in files too; twin: where none was asked for."""
+    numbers = 30.0, 20.0, 0.01, 0.0, 0.0, 0.0, 0.3
+    seen, asked = PredictionError(*numbers), PredictionError(*numbers, 0.05 / 0.2)
+    assert not seen.exceeds(0.05)
+    assert asked.exceeds(0.05)
+    for one in (seen, asked):
+        outcome = CampaignOutcome(0.05, 80, True, 1, None, (), 8, 0, 1.0, (one,))
+        mapping = outcome.as_mapping()
+        assert CampaignOutcome.from_mapping(mapping) == outcome
+        text = " ".join(outcome.text(4, 88).split())
+        assert "a patch is off by up to 0.3 of its value" in text
+        assert ("(0.2 was asked for)" in text) == (one is asked)
+    del mapping["relative"], mapping["relative_weight"]  # as of older files
+    old = CampaignOutcome.from_mapping(mapping)
+    assert old.unseen == (PredictionError(*numbers[:6]),)
+    with pytest.raises(ValueError, match="relative_tolerance applies with a tolerance"):
+        gonio.campaign({"plate": plate()}, [30], relative_tolerance=0.1)
 
 
 @pytest.mark.parametrize("batches", [4, 16])

@@ -13,7 +13,7 @@ from ...errors import SettingError, checked_choice, warn
 from ...files import check_output, netcdf, replacing
 from ...files.measured_table import MeasuredTable
 from ...files.writing import takes_a_stream
-from ...results.record import Record, checked_records, fractions_of
+from ...results.record import Record, both_sides, checked_records, fractions_of
 from ...results.summary import OVER_THE_EDGE, summarize
 from ...results.tally import ELEMENT_NAMES
 from ..formats.radiance import BASES, Product
@@ -68,7 +68,8 @@ def export(
     Parameters
     ----------
     record : Record or sequence of Record
-        Several for ``.xml``: of the front and of the back of a specimen.
+        Several for ``.xml``: of the front and of the back of a specimen, which may be
+        one record that holds its back. All other files are of the front.
     path : str or path
         ``.csv``: values at the middles of patches, read by `read_measured`, with the
         seed by which `compare` knows rays of its own, and with the elements of Mueller
@@ -111,6 +112,9 @@ def export(
     checked_choice("basis", basis, BASES)
     ending = Path(path).suffix.lower()
     records = checked_records(record)
+    if ending == ".xml":
+        records = both_sides(records)
+        solar = both_sides(solar)
     if ending not in POLARISED and any(one.polarised for one in records):
         raise SettingError(
             f"a file {ending} holds no Mueller matrices, which {', '.join(POLARISED)} "

@@ -15,7 +15,7 @@ from ...collector.shirley_chiu import ShirleyChiu
 from ...errors import SettingError, abridged, warn
 from ...files import replacing
 from ...materials.resampling import Material, resampled, specular_peaks
-from ...results.record import XYZ, Record, fractions_of
+from ...results.record import XYZ, Record, both_sides, fractions_of
 from ..formats import radiance, radiance_material
 from ..formats.radiance import OTHER, RANKS, Product, RadianceBSDF
 from ..formats.tensor_tree import TensorTree, isotropic_incidence
@@ -120,7 +120,7 @@ def read_back(records: Sequence[Record], path: str | PathLike[str]) -> list[Loss
     lost that fills one patch of the file, and an even one is not.
     """
     every = []
-    for whole in records:
+    for whole in both_sides(records):
         chosen = np.unique(np.linspace(0, len(whole) - 1, MAX_READ_BACK).astype(int))
         record = lit_by(VISIBLE, Record.stack([whole[int(n)] for n in chosen]))
         with open(path, "rb") as stream:

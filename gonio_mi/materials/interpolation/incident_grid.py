@@ -172,6 +172,8 @@ class IncidentGrid:
     incident : Subdivision, optional
         Patches of incidence instead of azimuths and angles: the second axis of `index`
         is their number, `theta_i` are their middles, and there is one azimuth, 0.
+    isotropic : bool
+        Whether one azimuth is all that the record has, of directions.
     """
 
     theta_i: Floats
@@ -183,6 +185,7 @@ class IncidentGrid:
     eta: float | None = None
     symmetry: AzimuthSymmetry | None = None
     incident: Subdivision | None = None
+    isotropic: bool = False
 
     @classmethod
     def of(cls, record: Record | PatchMeans, flux: Floats) -> IncidentGrid:
@@ -233,8 +236,10 @@ class IncidentGrid:
         first = np.flatnonzero(normal)[:1]
         if len(first):
             grid[:, 0] = first
-        found = cls(theta_i, phi_i, grid, normal, record.subdivision, False)
-        if not isinstance(found.patches, RingsAndSectors) or len(phi_i) == 1:
+        one = len(phi_i) == 1
+        axes = theta_i, phi_i, grid, normal
+        found = cls(*axes, record.subdivision, reflects=False, isotropic=one)
+        if not isinstance(found.patches, RingsAndSectors) or one:
             return found
         trials = AzimuthCrossValidation(theta_i[begin:], phi_i, tilted, found.patches)
         lower = flux.shape[1] > 1

@@ -1,7 +1,7 @@
 """Looking up and sampling the lobes of one face of a specimen, in Dr.Jit.
 
-Whether quantiles or half vectors transport lobes better between polar angles is
-cross-validated where a record lies between two others.
+Whether lobes keep their micro-normals between polar angles is cross-validated where a
+record lies between two others.
 """
 
 from __future__ import annotations
@@ -28,10 +28,12 @@ from .lookups import (
     IncidentPatches,
     IncidentPlaces,
     Place,
+    Turn,
     doubles,
     read,
     seen_from,
     towards,
+    turn_by,
 )
 
 
@@ -127,11 +129,11 @@ class InterpolatedBSDF:
             wanted &= ~lower
         else:
             hemisphere = dr.select(lower, mi.UInt32(1), hemisphere)
-        phi_i = self.incident.azimuth(wi)
-        point = seen_from(wo, phi_i)
+        frame = self.incident.frame(wi)
+        point = seen_from(wo, frame)
         value = [mi.Float64(0)] * self.lobes.n_channels
         total = mi.Float64(0)
-        for place in self.incident.around(wi, phi_i):
+        for place in self.incident.around(wi, frame):
             for number in self._hemispheres(enabled):
                 total += sum(self._fluxes(place, number))
             brdf = self.lobes.values(place, hemisphere, point, wanted)
@@ -169,17 +171,17 @@ class InterpolatedBSDF:
             of all azimuths and polar angles; its weight, which add up to 1; and where
             the point is moved.
         """
-        phi_i = self.incident.azimuth(wi)
+        frame = self.incident.frame(wi)
         number, up = mi.UInt32(hemisphere), mi.Bool(hemisphere == 0)
         height = dr.safe_sqrt(1 - dr.squared_norm(point))
         wo = mi.Vector3f(point.x, point.y, height)
         parts = []
-        for place in self.incident.around(wi, phi_i):
-            start = seen_from(wo, self.incident.measured(place.azimuth))
+        for place in self.incident.around(wi, frame):
+            start = seen_from(wo, turn_by(self.incident.measured(place.azimuth)))
             for end, row in enumerate(place.rows):
-                moved = self.lobes.moved(place, number, start, mi.Float64(end))
+                moved = self.lobes.moved(place, number, start, end)
                 fraction = place.weight * place.fraction(end)
-                parts.append((row, fraction, towards(moved, phi_i, up)))
+                parts.append((row, fraction, towards(moved, frame, up)))
         return parts
 
     def sample(
@@ -190,34 +192,36 @@ class InterpolatedBSDF:
         sample2: mi.Point2f,
     ) -> mi.Vector3f:
         """Direction of light: of a lobe picked by `sample1`, moved to its place."""
-        phi_i = self.incident.azimuth(wi)
+        frame = self.incident.frame(wi)
         choices = [
             (place, end, number, flux)
-            for place in self.incident.around(wi, phi_i)
+            for place in self.incident.around(wi, frame)
             for number in self._hemispheres(enabled)
             for end, flux in enumerate(self._fluxes(place, number))
         ]
         if not choices:
             return mi.Vector3f(0)
         left = mi.Float64(sample1) * sum(flux for *_, flux in choices)
-        azimuth = segment = low = high = hemisphere = mi.UInt32(0)
-        end = past = mi.Float64(0)
+        azimuth = low = high = hemisphere = mi.UInt32(0)
+        end = mi.Bool(False)
+        cos, sin = mi.Float64(1), mi.Float64(0)
         for place, own_end, number, flux in choices:
             # one without light is never picked, however `left` is rounded
             this = (left >= 0) & (flux > 0)
             azimuth = dr.select(this, place.azimuth, azimuth)
-            segment = dr.select(this, place.segment, segment)
             low = dr.select(this, place.rows[0], low)
             high = dr.select(this, place.rows[1], high)
             hemisphere = dr.select(this, number, hemisphere)
-            end = dr.select(this, float(own_end), end)
-            past = dr.select(this, place.past, past)
+            end = dr.select(this, mi.Bool(bool(own_end)), end)
+            cos = dr.select(this, place.past.cos, cos)
+            sin = dr.select(this, place.past.sin, sin)
             left -= flux
         first = choices[0][0]  # both have the same polar angle
         rows = low, high
-        place = Place(1, azimuth, segment, rows, first.t, past, first.z_i, first.ends)
+        past, same = Turn(cos, sin), (first.z_i, first.ends)
+        place = Place(1, azimuth, first.segment, rows, first.t, past, *same)
         point = self.lobes.drawn(place, hemisphere, end, sample2)
-        return towards(point, phi_i, hemisphere == 0)
+        return towards(point, frame, hemisphere == 0)
 
 
 # --------------------------------------------------------------------- cross-validation
@@ -236,14 +240,19 @@ INDEX_MARGIN, INDEX_OPTIONS = 0.05, {"xatol": 1e-3}
 def half_vector_segments(lobes: MeasuredLobes) -> list[HalfVectorSegments]:
     """How lobes move between polar angles, as a record's own directions say.
 
-    On a segment by quantiles (:class:`.QuantileTransport`), or with micro-normals that
-    stay where these predict the nearest record better, as a camera sees it, from those
-    of the next smaller and the next larger angle. Of patches of incidence none moves.
+    On a segment with micro-normals that stay where these predict the nearest record
+    better, as a camera sees it, from those of the next smaller and the next larger
+    angle: better than quantiles (:class:`.QuantileTransport`), or of anisotropic ones,
+    where these cost too much, lobes that stay; of two angles one from the other. Of
+    patches of incidence none moves.
     """
     n_angles = len(lobes.grid.theta_i)
-    if n_angles < 3 or lobes.grid.incident:
+    if n_angles < 2 + lobes.grid.isotropic or lobes.grid.incident:
         return []
-    angles = np.unique(np.linspace(1, n_angles - 2, MAX_TRIALS).round().astype(int))
+    angles = np.arange(2)
+    if n_angles > 2:
+        angles = np.linspace(1, n_angles - 2, MAX_TRIALS).round().astype(int)
+    angles = np.unique(angles)
     trials = [_Trial(lobes, n / len(angles), k) for n, k in enumerate(angles.tolist())]
     found = []
     for hemisphere in range(lobes.flux.shape[1]):
@@ -252,19 +261,19 @@ def half_vector_segments(lobes: MeasuredLobes) -> list[HalfVectorSegments]:
             continue
         way = [HalfVectorSegments(hemisphere, eta, (True,))]
         errors = ([one.error(hemisphere, way[:n]) for one in trials] for n in (0, 1))
-        segments = _better(angles, *errors)
+        segments = _better(angles, *errors)[: n_angles - 1]
         found.append(HalfVectorSegments(hemisphere, eta, segments))
     return [one for one in found if any(one.segments)]
 
 
 def _better(
-    angles: Integers, by_quantiles: Sequence[float], by_normals: Sequence[float]
+    angles: Integers, others: Sequence[float], by_normals: Sequence[float]
 ) -> tuple[bool, ...]:
     """On which segments micro-normals are better, where nearest records are tried.
 
     `angles` are the numbers of these records' polar angles.
     """
-    gains = np.subtract(by_quantiles, by_normals)
+    gains = np.subtract(others, by_normals)
     segments = []
     for segment in range(angles.max() + 1):
         distance = np.abs(angles - segment - 0.5)
@@ -306,7 +315,7 @@ def _index(lobes: MeasuredLobes, trials: Sequence[_Trial]) -> float | None:
 
 
 class _Trial:
-    """A record between two others of the same azimuth.
+    """A record beside one or between two others of the same azimuth.
 
     Parameters
     ----------
@@ -321,8 +330,10 @@ class _Trial:
         grid = lobes.grid
         known = np.flatnonzero(grid.index[:, angle] >= 0)
         azimuth = int(known[int(position * len(known))])
-        self.table = lobes.table([azimuth], [angle - 1, angle + 1])
-        self.quantiles = QuantileTransport(self.table)
+        n_angles = len(grid.theta_i)
+        beside = [n for n in (angle - 1, angle + 1) if 0 <= n < n_angles]
+        self.table = lobes.table([azimuth], beside)
+        self.quantiles = QuantileTransport(self.table) if grid.isotropic else None
         self.lobes = mean_lobe(lobes.brdf([azimuth], [angle])[0, 0])
         self.wi = direction(*np.radians([grid.theta_i[angle], grid.phi_i[azimuth]]))
 
@@ -331,7 +342,7 @@ class _Trial:
     ) -> float:
         """Sum of absolute errors of radiance over the patches looked at.
 
-        With these `half_vectors`, else by quantiles. By radiance: a diffuse part that
+        With these `half_vectors`, or without. By radiance: a diffuse part that
         moves with micro-normals is up to some times brighter near the horizon, where
         flux is too small to show it.
         """

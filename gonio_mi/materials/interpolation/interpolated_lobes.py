@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import drjit as dr
 import mitsuba as mi
@@ -13,19 +12,19 @@ import numpy as np
 from .half_vectors import is_redirected, redirected
 from .lobes import Drawing, LobeTable, mean_lobes, transport_pieces
 from .lookups import (
-    DiskPoint,
+    Bins,
     IncidentPatches,
     IncidentPlaces,
     Place,
-    above,
+    Turn,
+    Vector,
     between,
     doubles,
     last,
-    on_disk,
     quantile,
     read,
+    selected,
     tilted,
-    turned,
 )
 
 
@@ -33,11 +32,11 @@ from .lookups import (
 class _Pieces:
     """Pieces of one coordinate, which points of a segment move with.
 
-    At both ends of the segment: where they begin, and how wide they are per flux.
+    Where they begin, and how wide they are per flux: pairs, of both ends of a segment.
     """
 
-    begins: Sequence[mi.Float64]
-    slopes: Sequence[mi.Float64]
+    begins: mi.Float
+    slopes: mi.Float
     n: int  # of each row
 
     def find(
@@ -65,17 +64,18 @@ class _Pieces:
         return self._at(self.begins, index, to) + fraction * slope, slope / before
 
     @staticmethod
-    def _at(
-        ends: Sequence[mi.Float64], index: mi.UInt32, t: mi.Float64 | int
-    ) -> mi.Float64:
+    def _at(pairs: mi.Float, index: mi.UInt32, t: mi.Float64 | int) -> mi.Float64:
+        low, high = map(mi.Float64, dr.gather(mi.Point2f, pairs, index))
         if isinstance(t, int):
-            return read(ends[t], index)
-        low, high = (read(end, index) for end in ends)
+            return high if t else low
         return (1 - t) * low + t * high
 
 
 class QuantileTransport:
-    """Ways of points between polar angles, strip by strip and cell by cell.
+    """Ways of points between polar angles of an azimuth, strip by strip, cell by cell.
+
+    Points are those of the unit disk below (or above) a unit vector, by x and
+    ``y / sqrt(1 - x^2)``.
 
     Parameters
     ----------
@@ -83,39 +83,63 @@ class QuantileTransport:
     """
 
     def __init__(self, table: LobeTable) -> None:
-        pieces = transport_pieces(table.brdf, table.patches, table.grid.phi_i)
-        self.n_hemispheres, n = pieces[0].shape[3:]
-        strips, strip_slopes, cells, cell_slopes = (
-            [doubles(end) for end in ends] for ends in pieces
-        )
+        pieces = transport_pieces(table.brdf[0], table.patches, table.grid.phi_i[0])
+        self.n_hemispheres, n = pieces[0].shape[1:3]
+        rows = (mi.Float(pairs.ravel()) for pairs in pieces)
+        strips, strip_slopes, cells, cell_slopes = rows
         self.strips = _Pieces(strips, strip_slopes, n)
         self.cells = _Pieces(cells, cell_slopes, n)
+
+    def moved_where(
+        self,
+        active: mi.Bool,
+        place: Place,
+        hemisphere: mi.UInt32,
+        point: Vector,
+        start: mi.Float64,
+        ends: Sequence[mi.Float64 | int],
+    ) -> list[tuple[Vector, mi.Float64]]:
+        """As :meth:`moved`; where no lane of a vector is active, nothing is sought."""
+        active = active & (point[0] <= 2) & (place.t >= 0) & (hemisphere < 2)
+
+        def sought(*point: mi.Float64) -> list[tuple[Vector, mi.Float64]]:
+            return self.moved(place, hemisphere, list(point), start, ends)
+
+        def unmoved(*point: mi.Float64) -> list[tuple[Vector, mi.Float64]]:
+            return [(list(point), mi.Float64(1)) for _ in ends]
+
+        found: list[tuple[Vector, mi.Float64]]
+        found = dr.if_stmt(tuple(point), active, sought, unmoved)
+        return found
 
     def moved(
         self,
         place: Place,
         hemisphere: mi.UInt32,
-        point: DiskPoint,
+        point: Vector,
         start: mi.Float64,
         ends: Sequence[mi.Float64 | int],
-    ) -> list[tuple[DiskPoint, mi.Float64]]:
+    ) -> list[tuple[Vector, mi.Float64]]:
         """Where a point at `start` of the segment is at each of `ends`.
 
         Each with the stretch of areas.
         """
+        x, y, z = point
+        across2 = y * y + z * z
+        v = dr.select(across2 > 0, y * dr.rsqrt(across2), 0)
         row = place.segment * self.n_hemispheres + hemisphere
-        strip = self.strips.find(row, point.x, start)
-        cell = self.cells.find(strip[0], point.v, start)
+        strip = self.strips.find(row, dr.clip(x, -1, 1), start)
+        cell = self.cells.find(strip[0], dr.clip(v, -1, 1), start)
         found = []
         for to in ends:
             x, stretch_x = self.strips.moved(strip, to)
             v, stretch_v = self.cells.moved(cell, to)
             x, v = dr.clip(x, -1, 1), dr.clip(v, -1, 1)
+            across = dr.sqrt(1 - x * x)
+            moved = [x, v * across, across * dr.sqrt(1 - v * v)]
             # of y / v, at the new point and at the old one
-            across = dr.safe_sqrt(
-                (1 - x * x) / dr.maximum(1 - dr.square(point.x), 2.0**-60)
-            )
-            found.append((DiskPoint(x, v), stretch_x * stretch_v * across))
+            wider = across * dr.rsqrt(dr.maximum(across2, 2.0**-60))
+            found.append((moved, stretch_x * stretch_v * wider))
         return found
 
 
@@ -143,74 +167,90 @@ class HalfVectorTransport:
     Parameters
     ----------
     half_vectors : sequence of HalfVectorSegments
-    with_azimuth : sequence of int
-        Hemispheres where the record's azimuth counts; else lobes turn with incidence.
+        Between polar angles.
+    with_azimuth : mapping of int to (float or None)
+        Hemispheres where the record's azimuth counts, with their refractive index of
+        transmission; else lobes turn with incidence.
     """
 
     def __init__(
-        self, half_vectors: Sequence[HalfVectorSegments], with_azimuth: Sequence[int]
+        self,
+        half_vectors: Sequence[HalfVectorSegments],
+        with_azimuth: Mapping[int, float | None],
     ) -> None:
         self.half_vectors, self.with_azimuth = half_vectors, with_azimuth
-        # an index that is no constant of the kernel: another one compiles nothing
-        self.etas = [
-            (one.hemisphere, one.eta and dr.opaque(mi.Float64, one.eta))
-            for one in half_vectors
-        ]
-        self.segments = [mi.Bool(list(one.segments)) for one in half_vectors]
+        of_angle = {one.hemisphere: one for one in half_vectors}
+        self.hemispheres = []
+        for number in sorted(of_angle.keys() | with_azimuth.keys()):
+            own = of_angle.get(number)
+            eta = own.eta if own else with_azimuth[number]
+            # an index that is no constant of the kernel: another one compiles nothing
+            index = eta and dr.opaque(mi.Float64, eta)
+            self.hemispheres.append((number, index, own))
+        self.segments = {
+            one.hemisphere: mi.Bool(list(one.segments)) for one in half_vectors
+        }
 
     def move(self, place: Place, hemisphere: mi.UInt32) -> mi.Bool:
         """Whether the light of a hemisphere moves so."""
         moves = mi.Bool(False)
-        for one, segments in zip(self.half_vectors, self.segments):
-            this = hemisphere == one.hemisphere
-            if not all(one.segments):
-                segment = place.segment - place.azimuth * len(one.segments)
-                this &= dr.gather(mi.Bool, segments, segment)
+        for this, *_ in self._motions(place, 0, hemisphere):
             moves |= this
         return moves
 
     def came_from(
-        self, place: Place, z: mi.Float64, hemisphere: mi.UInt32, point: DiskPoint
-    ) -> tuple[DiskPoint, mi.Float64, mi.Bool]:
+        self, place: Place, end: int, hemisphere: mi.UInt32, point: Vector
+    ) -> tuple[Vector, mi.Float64, mi.Bool]:
         """Where light that is sent to a point is in a record's lobe.
 
-        `z` is the cosine of that record's angle of incidence. With the stretch of
-        areas, and whether any is sent there.
+        `end` is that of the segment where the record is. With the stretch of areas,
+        and whether any is sent there.
         """
-        wo, (x, v) = above(point), (point.x, point.v)
-        stretch, comes = mi.Float64(0), mi.Bool(False)
-        for number, eta in self.etas:
-            past = self._past(place, number)
-            came, scale, valid = redirected(
-                wo, place.incident(), place.incident(past, z), eta, dr
-            )
-            this = (hemisphere == number) & valid & is_redirected(came[2], wo[2])
-            stretch = dr.select(this, came[2] * scale / wo[2], stretch)
-            source = on_disk(turned(came, past))
-            x, v = dr.select(this, source.x, x), dr.select(this, source.v, v)
-            comes |= this
-        return DiskPoint(x, v), stretch, comes
+        source, stretch, comes = point, mi.Float64(1), mi.Bool(True)
+        for this, before, after, past, eta in self._motions(place, end, hemisphere):
+            light = past.back().of(after)
+            came, scale, valid = redirected(point, before, light, eta, dr)
+            valid &= is_redirected(came[2], point[2])
+            comes &= valid | ~this
+            this &= valid
+            stretch = dr.select(this, came[2] * scale / point[2], stretch)
+            source = selected(this, past.of(came), source)
+        return source, stretch, comes
 
     def goes_to(
-        self, place: Place, z: mi.Float64, hemisphere: mi.UInt32, point: DiskPoint
-    ) -> tuple[DiskPoint, mi.Bool]:
+        self, place: Place, end: int | mi.Bool, hemisphere: mi.UInt32, point: Vector
+    ) -> tuple[Vector, mi.Bool]:
         """Target direction of light of a record's lobe, and a validity mask."""
-        x, v, leaves = point.x, point.v, mi.Bool(False)
-        for number, eta in self.etas:
-            past = self._past(place, number)
-            wo = turned(above(point), -past)
-            to, _, valid = redirected(
-                wo, place.incident(past, z), place.incident(), eta, dr
-            )
-            this = (hemisphere == number) & valid & is_redirected(wo[2], to[2])
-            moved = on_disk(to)
-            x, v = dr.select(this, moved.x, x), dr.select(this, moved.v, v)
-            leaves |= this
-        return DiskPoint(x, v), leaves
+        target, leaves = point, mi.Bool(True)
+        for this, before, after, past, eta in self._motions(place, end, hemisphere):
+            wo = past.back().of(point)
+            to, _, valid = redirected(wo, past.back().of(after), before, eta, dr)
+            valid &= is_redirected(wo[2], to[2])
+            target = selected(this & valid, to, target)
+            leaves &= valid | ~this
+        return target, leaves
 
-    def _past(self, place: Place, hemisphere: int) -> mi.Float64:
-        """Azimuth of incidence from that of the record, if it counts."""
-        return place.past if hemisphere in self.with_azimuth else mi.Float64(0)
+    def _motions(
+        self, place: Place, end: int | mi.Bool, hemisphere: mi.UInt32
+    ) -> Iterator[tuple[mi.Bool, Vector, Vector, Turn, mi.Float64 | None]]:
+        """Where light of a hemisphere moves: from and to which incident light.
+
+        The latter in the record's frame, which is turned from that of incidence.
+        """
+        none = Turn(mi.Float64(1), mi.Float64(0))
+        low, high = place.ends
+        z = place.ends[end] if isinstance(end, int) else dr.select(end, high, low)
+        for number, eta, own in self.hemispheres:
+            this, to = hemisphere == number, z
+            if own is None:
+                to = place.z_i
+            elif not all(own.segments):
+                moves = dr.gather(mi.Bool, self.segments[number], place.segment)
+                to = dr.select(moves, z, place.z_i)
+                if number not in self.with_azimuth:
+                    this &= moves
+            past = place.past if number in self.with_azimuth else none
+            yield this, place.incident(), place.incident(to), past, eta
 
 
 class LobeArrays:
@@ -226,8 +266,12 @@ class LobeArrays:
     def __init__(self, table: LobeTable) -> None:
         *_, self.n_theta, self.n_phi, self.n_channels = table.brdf.shape
         channels = range(self.n_channels)
-        sin2 = np.sin(table.patches.theta_edges) ** 2
-        self.sin2, self.phi = doubles([*sin2[:-1], 1]), doubles(table.patches.phi_edges)
+        theta, phi = table.patches.theta_edges, table.patches.phi_edges
+        sin2 = np.array([*np.sin(theta[:-1]) ** 2, 1])
+        self.rings, self.sectors = (
+            Bins(sin2, theta * (2 / np.pi)),
+            Bins(phi, phi / phi[-1]),
+        )
         self.brdf = [doubles(table.brdf[..., channel]) for channel in channels]
         self.gradients = [
             [doubles(along[..., channel]) for channel in channels]
@@ -241,44 +285,28 @@ class LobeArrays:
         self.drawing = Drawing(*map(doubles, table.drawing))
 
     def values(
-        self, row: mi.UInt32, phi_i: mi.Float64, point: DiskPoint, active: mi.Bool
+        self, row: mi.UInt32, phi_i: mi.Float64, point: Vector, active: mi.Bool
     ) -> list[mi.Float64]:
         """BRDF of each channel at a point, 0 where not active."""
-        ring, sector, off = self._patch(phi_i, point)
+        x, y, z = point
+        # whichever of sine and cosine keeps its precision
+        sin2, z2 = x * x + y * y, z * z
+        sin2 = dr.select(z2 < 0.5, 1 - z2, sin2)
+        theta = dr.asin(dr.minimum(dr.sqrt(mi.Float(sin2)), 1))
+        ring, off_ring = self.rings.find(sin2, theta * (2 * dr.inv_pi))
+        turns = (dr.atan2(y, x) + phi_i) * (0.5 / dr.pi)
+        turns -= dr.floor(turns)
+        sector, off_sector = self.sectors.find(turns * (2 * dr.pi), mi.Float(turns))
         index = (row * self.n_theta + ring) * self.n_phi + sector
         values = []
         for channel, brdf in enumerate(self.brdf):
             value = read(brdf, index, active)
-            for gradient, coordinate in zip(self.gradients, off):
+            for gradient, coordinate in zip(self.gradients, (off_ring, off_sector)):
                 value += coordinate * read(gradient[channel], index, active)
             values.append(value)
         return values
 
-    def _patch(
-        self, phi_i: mi.Float64, point: DiskPoint
-    ) -> tuple[mi.UInt32, mi.UInt32, Sequence[mi.Float64]]:
-        """Ring and sector in which a point lies, and where, from -1/2 to 1/2."""
-        across2 = 1 - dr.square(point.x)
-        y = point.v * dr.safe_sqrt(across2)
-        z2 = across2 * (1 - dr.square(point.v))
-        # whichever of sine and cosine keeps its precision
-        sin2 = dr.select(z2 < 0.5, 1 - z2, dr.square(point.x) + dr.square(y))
-        ring = last(self.n_theta, lambda i: read(self.sin2, i) <= sin2)
-        phi = dr.atan2(y, point.x) + phi_i
-        phi -= 2 * dr.pi * dr.floor(phi * (0.5 / dr.pi))
-        sector = last(self.n_phi, lambda i: read(self.phi, i) <= phi)
-        off = []
-        for edges, number, coordinate in (
-            (self.sin2, ring, sin2),
-            (self.phi, sector, phi),
-        ):
-            low, high = read(edges, number), read(edges, number + 1)
-            off.append(dr.clip((coordinate - low) / (high - low), 0, 1) - 0.5)
-        return ring, sector, off
-
-    def drawn(
-        self, row: mi.UInt32, phi_i: mi.Float64, sample2: mi.Point2f
-    ) -> DiskPoint:
+    def drawn(self, row: mi.UInt32, phi_i: mi.Float64, sample2: mi.Point2f) -> Vector:
         """Point of a lobe."""
         rings, sectors, tilts, sector_tilts = self.drawing
         ring, fraction = quantile(
@@ -299,13 +327,10 @@ class LobeArrays:
         along, around = (read(array, patch) for array in self.mean_gradients)
         mean = read(self.means, patch) + off * along
         past = tilted(fraction, dr.select(mean > 0, around / mean, 0))
-        sin2 = between(self.sin2, ring, off + 0.5)
-        phi = between(self.phi, sector, past) - phi_i
-        sin, cos = dr.sincos(phi)
+        sin2 = between(self.rings.edges, ring, off + 0.5)
+        sin, cos = dr.sincos(between(self.sectors.edges, sector, past) - phi_i)
         sine = dr.sqrt(sin2)
-        x, y = sine * cos, sine * sin
-        across = dr.sqrt(1 - sin2 + y * y)
-        return DiskPoint(x, dr.select(across > 0, y / across, 0))
+        return [sine * cos, sine * sin, dr.safe_sqrt(1 - sin2)]
 
 
 class InterpolatedLobes:
@@ -322,8 +347,8 @@ class InterpolatedLobes:
     incident : IncidentPlaces or IncidentPatches
         Of the table's grid.
     half_vectors : sequence of HalfVectorSegments, optional
-        Where light keeps its micro-normals between polar angles; elsewhere it moves by
-        :class:`.interpolated_lobes.QuantileTransport`.
+        Where light keeps its micro-normals between polar angles; elsewhere that of
+        isotropic materials moves by :class:`.QuantileTransport`, and else stays.
     quantiles : QuantileTransport, optional
         Of the table, where it is known.
     """
@@ -337,142 +362,89 @@ class InterpolatedLobes:
     ) -> None:
         self.n_hemispheres = table.brdf.shape[2]
         self.incident = incident
-        grid, number = table.grid, range(self.n_hemispheres)
-        moving = [n for n in number if incident.n_azimuths > 1 and grid.moves(n)]
+        grid = table.grid
+        moving = {
+            number: grid.eta if number else None
+            for number in range(self.n_hemispheres)
+            if incident.n_azimuths > 1 and grid.moves(number)
+        }
         self.normals = HalfVectorTransport(half_vectors, moving)
-        by_normals = [one.hemisphere for one in half_vectors if all(one.segments)]
-        by_segments = [n for n in number if n not in by_normals]
-        every = (True,) * incident.n_segments
-        between = [
-            HalfVectorSegments(n, grid.eta if n else None, every)
-            for n in by_segments
-            if n in moving
-        ]
-        self.azimuths = HalfVectorTransport(between, moving)
-        # slow to find: none where nothing moves by them
-        moves = by_segments and not grid.incident
-        self.segments = (quantiles or QuantileTransport(table)) if moves else None
+        by_normals = [one for one in half_vectors if all(one.segments)]
+        self.quantiles = None
+        if (
+            grid.isotropic
+            and incident.n_angles > 1
+            and len(by_normals) < self.n_hemispheres
+        ):
+            self.quantiles = quantiles or QuantileTransport(table)
         self.measured = LobeArrays(table)
         self.n_channels = self.measured.n_channels
 
-    # ------------------------------------------------------- what is sent to a point
-
     def values(
-        self, place: Place, hemisphere: mi.UInt32, point: DiskPoint, active: mi.Bool
+        self, place: Place, hemisphere: mi.UInt32, point: Vector, active: mi.Bool
     ) -> list[mi.Float64]:
-        """BRDF in 1/sr of each channel, of one azimuth's lobes; 0 where not active."""
-        if not self.normals.half_vectors:
-            return self._by_segments(place, hemisphere, point, active)
-        moves = self.normals.move(place, hemisphere)
-        values = self._by_normals(place, hemisphere, point, active & moves)
-        if self.segments is not None:
-            others = self._by_segments(place, hemisphere, point, active & ~moves)
-            values = [a + b for a, b in zip(values, others)]
-        return values
+        """BRDF in 1/sr of each channel, of one azimuth's lobes; 0 where not active.
 
-    def _by_normals(
-        self, place: Place, hemisphere: mi.UInt32, point: DiskPoint, active: mi.Bool
-    ) -> list[mi.Float64]:
-        """What micro-normals of both ends of the segment send, and what stays."""
-        values = [mi.Float64(0)] * self.n_channels
-        phi_i = self.incident.measured(place.azimuth)
-        for end, z in enumerate(place.ends):
-            row = place.rows[end] * self.n_hemispheres + hemisphere
-            at = place, z, hemisphere, point
-            source, stretch, comes = self.normals.came_from(*at)
-            sent = self.measured.values(row, phi_i, source, active & comes)
-            _, leaves = self.normals.goes_to(*at)
-            stays = self._seldom(
-                point, active & ~leaves, partial(self.measured.values, row, phi_i)
-            )
-            fraction = place.fraction(end)
-            values = [
-                v + fraction * (stretch * a + b) for v, a, b in zip(values, sent, stays)
-            ]
-        return values
-
-    def _by_segments(
-        self, place: Place, hemisphere: mi.UInt32, point: DiskPoint, active: mi.Bool
-    ) -> list[mi.Float64]:
-        """What moves along the segments, and between azimuths perhaps by micro-normals.
-
-        What these send to a point, and what they would send beyond the horizon and
-        therefore stays.
+        What micro-normals of both ends of the segment send, and what stays; or what
+        moves by quantiles.
         """
-        if not self.azimuths.half_vectors:
-            return self._brdf_at_azimuth(place, hemisphere, point, active)
-        at = place, place.z_i, hemisphere, point
-        source, stretch, comes = self.azimuths.came_from(*at)
-        sent = self._brdf_at_azimuth(place, hemisphere, source, active & comes)
-        _, leaves = self.azimuths.goes_to(*at)
-        stays = self._seldom(
-            point, active & ~leaves, partial(self._brdf_at_azimuth, place, hemisphere)
-        )
-        return [stretch * a + b for a, b in zip(sent, stays)]
+        values = [mi.Float64(0)] * self.n_channels
+        others, by_quantiles = [], mi.Bool(False)
+        if self.quantiles is not None:
+            by_quantiles = active & ~self.normals.move(place, hemisphere)
+            at = place, hemisphere, point, place.t
+            others = self.quantiles.moved_where(by_quantiles, *at, (0, 1))
+        phi_i = self.incident.measured(place.azimuth)
+        for end, row in enumerate(place.rows):
+            row = row * self.n_hemispheres + hemisphere
+            way = place, end, hemisphere, point
+            source, stretch, comes = self.normals.came_from(*way)
+            if others:
+                source = selected(by_quantiles, others[end][0], source)
+                stretch = dr.select(by_quantiles, others[end][1], stretch)
+            own = self.measured.values(row, phi_i, source, active & comes)
+            own = [stretch * one for one in own]
+            if self.normals.hemispheres:
+                _, leaves = self.normals.goes_to(*way)
+                stays = self._seldom(row, phi_i, point, active & ~leaves)
+                own = [a + b for a, b in zip(own, stays)]
+            fraction = place.fraction(end)
+            values = [a + fraction * b for a, b in zip(values, own)]
+        return values
 
     def _seldom(
-        self,
-        point: DiskPoint,
-        active: mi.Bool,
-        values: Callable[[DiskPoint, mi.Bool], list[mi.Float64]],
+        self, row: mi.UInt32, phi_i: mi.Float64, point: Vector, active: mi.Bool
     ) -> list[mi.Float64]:
         """Values of few lanes: all others skip them, which halves the time."""
 
-        def looked_up(x: mi.Float64, v: mi.Float64) -> list[mi.Float64]:
-            return values(DiskPoint(x, v), active)
+        def looked_up(x: mi.Float64, y: mi.Float64, z: mi.Float64) -> list[mi.Float64]:
+            return self.measured.values(row, phi_i, [x, y, z], active)
 
         def nothing(*_: mi.Float64) -> list[mi.Float64]:
             return [mi.Float64(0)] * self.n_channels
 
-        found: list[mi.Float64] = dr.if_stmt(
-            (point.x, point.v), active, looked_up, nothing
-        )
+        found: list[mi.Float64] = dr.if_stmt(tuple(point), active, looked_up, nothing)
         return found
 
-    def _brdf_at_azimuth(
-        self, place: Place, hemisphere: mi.UInt32, point: DiskPoint, active: mi.Bool
-    ) -> list[mi.Float64]:
-        """BRDF at the place's azimuth: of both ends of the segment, moved to there."""
-        sources = [(point, mi.Float64(1))] * 2
-        if self.segments is not None and self.incident.n_angles > 1:
-            sources = self.segments.moved(place, hemisphere, point, place.t, (0, 1))
-        values = [mi.Float64(0)] * self.n_channels
-        phi_i = self.incident.measured(place.azimuth)
-        for end, (source, stretch) in enumerate(sources):
-            row = place.rows[end] * self.n_hemispheres + hemisphere
-            own = self.measured.values(row, phi_i, source, active)
-            fraction = stretch * place.fraction(end)
-            values = [a + fraction * b for a, b in zip(values, own)]
-        return values
-
-    # ---------------------------------------------------- where a point is sent to
-
     def drawn(
-        self, place: Place, hemisphere: mi.UInt32, end: mi.Float64, sample2: mi.Point2f
-    ) -> DiskPoint:
+        self, place: Place, hemisphere: mi.UInt32, end: mi.Bool, sample2: mi.Point2f
+    ) -> Vector:
         """Point of the lobe at an end of a segment, where it is for incident light."""
-        row = dr.select(end > 0.5, place.rows[1], place.rows[0])
+        row = dr.select(end, place.rows[1], place.rows[0])
         row = row * self.n_hemispheres + hemisphere
         phi_i = self.incident.measured(place.azimuth)
         point = self.measured.drawn(row, phi_i, sample2)
         return self.moved(place, hemisphere, point, end)
 
     def moved(
-        self, place: Place, hemisphere: mi.UInt32, point: DiskPoint, end: mi.Float64
-    ) -> DiskPoint:
+        self, place: Place, hemisphere: mi.UInt32, point: Vector, end: int | mi.Bool
+    ) -> Vector:
         """Where a point of the lobe at an end of a segment is for incident light."""
-        moved = point
-        if self.segments is not None and self.incident.n_angles > 1:
-            ((moved, _),) = self.segments.moved(
-                place, hemisphere, point, end, [place.t]
-            )
-        if self.azimuths.half_vectors:
-            moved, _ = self.azimuths.goes_to(place, place.z_i, hemisphere, moved)
-        if not self.normals.half_vectors:
-            return moved
-        z = dr.select(end > 0.5, place.ends[1], place.ends[0])
-        sent, _ = self.normals.goes_to(place, z, hemisphere, point)
-        this = self.normals.move(place, hemisphere)
-        return DiskPoint(
-            dr.select(this, sent.x, moved.x), dr.select(this, sent.v, moved.v)
-        )
+        sent, _ = self.normals.goes_to(place, end, hemisphere, point)
+        if self.quantiles is None:
+            return sent
+        start = dr.select(mi.Bool(end), mi.Float64(1), 0)
+        others = ~self.normals.move(place, hemisphere) & (start >= 0)
+        at = place, hemisphere, point, start
+        ((moved, _),) = self.quantiles.moved_where(others, *at, [place.t])
+        return selected(others, moved, sent)

@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...array_types import Floats, Integers
+from ...array_types import Floats, Integers, Numbers
 from ...collector import RingsAndSectors
 from ...errors import SettingError, check_memory
 from ...results.patch_means import PatchMeans
@@ -45,37 +45,35 @@ EVEN_FRACTION = 0.01
 
 
 def transport_pieces(
-    brdf: Floats, patches: RingsAndSectors, phi_i: Floats
-) -> list[Floats]:
-    """Maps of points between the polar angles of a table's lobes.
+    brdf: Floats, patches: RingsAndSectors, phi_i: float
+) -> list[Numbers]:
+    """Maps of points between the polar angles of the lobes of an azimuth.
 
-    A *segment* leads from one polar angle to the next; there are ``K = max(N - 1, 1)``.
+    A *segment* leads from one polar angle to the next; there are ``K = N - 1``.
     Across a segment, histogram edges of both ends cut the disk into
     ``S = 2 N_CELLS - 1`` strips of x, and each strip into ``S`` cells of
     ``y / sqrt(1 - x^2)``; within one, points move together.
 
     Returns
     -------
-    strips, strip_slopes : ndarray, shape (2, P, K, H, S)
+    strips, strip_slopes : ndarray of float32, shape (K, H, S, 2)
         Where a strip begins, and its width per fraction of the flux, on both ends of
         the segment.
-    cells, cell_slopes : ndarray, shape (2, P, K, H, S, S)
+    cells, cell_slopes : ndarray of float32, shape (K, H, S, S, 2)
         The same across a strip.
     """
-    n_azimuths, n_angles, n_hemispheres = brdf.shape[:3]
-    shape = n_azimuths, max(n_angles - 1, 1), n_hemispheres, 2 * N_CELLS - 1
-    # both ends as channels, which are not copied
+    n_angles, n_hemispheres = brdf.shape[:2]
+    shape = n_angles - 1, n_hemispheres, 2 * N_CELLS - 1
+    # both ends side by side, in the memory of one number of double precision
     arrays = [
-        np.moveaxis(aligned((*shape, *more, 2)), -1, 0)
+        aligned((*shape, *more, 1)).view(np.float32)
         for more in ((), (), shape[-1:], shape[-1:])
     ]
-    for azimuth, phi in enumerate(np.radians(phi_i)):
-        histograms = _histograms(brdf[azimuth], patches, phi)
-        for segment, hemisphere in np.ndindex(shape[1:3]):
-            ends = segment, min(segment + 1, n_angles - 1)
-            found = _segment(*(histograms[end, hemisphere] for end in ends))
-            for array, own in zip(arrays, found):
-                array[:, azimuth, segment, hemisphere] = own
+    histograms = _histograms(brdf, patches, np.radians(phi_i))
+    for segment, hemisphere in np.ndindex(shape[:2]):
+        found = _segment(*histograms[segment : segment + 2, hemisphere])
+        for array, own in zip(arrays, found):
+            array[segment, hemisphere] = np.moveaxis(own, 0, -1)
     return arrays
 
 
@@ -385,8 +383,9 @@ def check_table(n_azimuths: int, n_angles: int, lobes: tuple[int, ...]) -> float
     """
     n_hemispheres, *patches, n_channels = lobes
     means = 3 if n_channels > 1 else 0
-    of_patch, of_segment = 3 * n_channels + means + 2, 4 * (2 * N_CELLS) ** 2
-    each = 8 * n_hemispheres * (math.prod(patches) * of_patch + of_segment)
+    each = 8 * n_hemispheres * math.prod(patches) * (3 * n_channels + means + 2)
+    if n_azimuths == 1:
+        each += 16 * n_hemispheres * (2 * N_CELLS) ** 2
     n_bytes = n_azimuths * n_angles * each
     if n_bytes > MAX_BYTES:
         raise TooLargeError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,51 +12,61 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...array_types import Floats
 from ...collector import Subdivision
 from ...transport.collector_sphere import DRJIT
 from .incident_grid import IncidentGrid
 from .lobes import aligned
 
+# Steps of a table of bins, at most about, and the part of a step by which what is known
+# roughly, in single precision, may be wrong.
+MAX_STEPS, MARGIN = 2**12, 1e-2
+
+
+# Coordinates of a unit vector in the frame of incidence, whose light comes from +x; z
+# is the height above, or the depth below, the surface.
+Vector = list[Any]
+
 
 @dataclass(frozen=True)
-class DiskPoint:
-    """Point of the unit disk, turned so that light comes from +x."""
+class Turn:
+    """Angle about the normal, by its cosine and sine."""
 
-    x: mi.Float64
-    v: mi.Float64  # y / sqrt(1 - x^2)
+    cos: Any
+    sin: Any
 
+    def of(self, v: Sequence[Any]) -> Vector:
+        """Coordinates of a vector after the turn."""
+        x, y, z = v
+        return [x * self.cos - y * self.sin, x * self.sin + y * self.cos, z]
 
-def seen_from(wo: mi.Vector3f, phi_i: mi.Float64) -> DiskPoint:
-    """Point of the disk below (or above) which a unit vector ends."""
-    x, y, z = (mi.Float64(component) for component in (wo.x, wo.y, wo.z))
-    norm = 1 / dr.sqrt(x * x + y * y + z * z)
-    return on_disk([norm * one for one in turned([x, y, z], -phi_i)])
-
-
-def on_disk(wo: Sequence[Any]) -> DiskPoint:
-    """The same, from coordinates in the incidence frame."""
-    x, y, z = wo
-    across = dr.sqrt(y * y + z * z)
-    return DiskPoint(dr.clip(x, -1, 1), dr.select(across > 0, y / across, 0))
+    def back(self) -> Turn:
+        """The opposite turn."""
+        return Turn(self.cos, -self.sin)
 
 
-def above(point: DiskPoint) -> list[Any]:
-    """Coordinates of the unit vector above a point of the disk."""
-    across = dr.safe_sqrt(1 - dr.square(point.x))
-    return [point.x, point.v * across, across * dr.safe_sqrt(1 - dr.square(point.v))]
-
-
-def turned(v: Sequence[Any], angle: mi.Float64) -> list[Any]:
-    """Coordinates of a vector turned about the normal."""
+def turn_by(angle: mi.Float64) -> Turn:
+    """Turn by an angle in radians."""
     sin, cos = dr.sincos(angle)
-    x, y, z = v
-    return [x * cos - y * sin, x * sin + y * cos, z]
+    return Turn(cos, sin)
 
 
-def towards(point: DiskPoint, phi_i: mi.Float64, upper: mi.Bool) -> mi.Vector3f:
-    """Unit vector above or below a point of the disk."""
-    x, y, z = turned(above(point), phi_i)
+def seen_from(wo: mi.Vector3f, frame: Turn) -> Vector:
+    """Unit vector in the frame of incidence."""
+    x, y, z = (mi.Float64(component) for component in (wo.x, wo.y, wo.z))
+    norm = dr.rcp(dr.sqrt(x * x + y * y + z * z))
+    return frame.back().of([norm * x, norm * y, norm * dr.abs(z)])
+
+
+def towards(v: Vector, frame: Turn, upper: mi.Bool) -> mi.Vector3f:
+    """Unit vector above or below the surface."""
+    x, y, z = frame.of(v)
     return mi.Vector3f(x, y, dr.select(upper, z, -z))
+
+
+def selected(mask: mi.Bool, yes: Sequence[Any], no: Sequence[Any]) -> Vector:
+    """One of two vectors in each lane."""
+    return [dr.select(mask, a, b) for a, b in zip(yes, no)]
 
 
 def doubles(values: ArrayLike) -> mi.Float64:
@@ -110,24 +121,67 @@ def tilted(fraction: mi.Float64, tilt: mi.Float64) -> mi.Float64:
     return dr.select(root > 0, dr.clip(2 * fraction / root, 0, 1), fraction)
 
 
+class Bins:
+    """Bins of a coordinate, found without a search.
+
+    A table of equal steps of another coordinate, which is known roughly, says from
+    which bin on to look; `n_next` more steps find it.
+
+    Parameters
+    ----------
+    edges : ndarray
+        Ascending.
+    rough : ndarray
+        The same, from 0 to 1, in the other coordinate.
+    """
+
+    def __init__(self, edges: Floats, rough: Floats) -> None:
+        self.edges = doubles(edges)
+        self.n = len(edges) - 1
+        self.is_even = bool(np.allclose(np.diff(edges) * self.n, edges[-1]))
+        self.steps_per_unit = self.n / float(edges[-1])
+        narrowest = max(float(np.diff(rough).min()), 1 / MAX_STEPS)
+        steps = np.arange(2 * math.ceil(1 / narrowest))
+        ends = (
+            np.searchsorted(rough, (steps + past) / len(steps), side="right") - 1
+            for past in (-MARGIN, 1 + MARGIN)
+        )
+        low, high = (np.clip(end, 0, self.n - 1) for end in ends)
+        self.first, self.n_steps = mi.UInt32(low), len(steps)
+        self.n_next = int((high - low).max())
+
+    def find(self, value: mi.Float64, rough: mi.Float) -> tuple[mi.UInt32, mi.Float64]:
+        """Bin of a coordinate, and where in it, from -1/2 to 1/2."""
+        if self.is_even:
+            place = value * self.steps_per_unit
+            number = dr.minimum(mi.UInt32(place), self.n - 1)
+            return number, dr.clip(place - mi.Float64(number), 0, 1) - 0.5
+        step = dr.clip(mi.Int32(rough * self.n_steps), 0, self.n_steps - 1)
+        number = dr.gather(mi.UInt32, self.first, mi.UInt32(step))
+        for _ in range(self.n_next):
+            above = (number + 1 < self.n) & (read(self.edges, number + 1) <= value)
+            number = dr.select(above, number + 1, number)
+        low, high = read(self.edges, number), read(self.edges, number + 1)
+        return number, dr.clip((value - low) / (high - low), 0, 1) - 0.5
+
+
 @dataclass(frozen=True)
 class Place:
     """Where to look in the table: one measured azimuth, and for each lane a segment."""
 
     weight: mi.Float64  # of this azimuth
     azimuth: mi.UInt32  # its index
-    segment: mi.UInt32  # index among the segments of all azimuths
+    segment: mi.UInt32  # index among the segments
     rows: tuple[mi.UInt32, ...]  # of azimuth and polar angle at both ends of it
     t: mi.Float64  # how far on the segment, from 0 to 1
-    past: mi.Float64  # angle from this azimuth to that of incidence
+    past: Turn  # from this azimuth to that of incidence
     z_i: mi.Float64  # cosine of the angle of incidence
     ends: tuple[mi.Float64, ...]  # the same at both ends of the segment
 
-    def incident(self, past: Any = None, z: Any = None) -> list[Any]:
-        """Incident direction: +x, or azimuth `past` before it, at cosine z."""
+    def incident(self, z: Any = None) -> Vector:
+        """Incident direction, or one at cosine z, towards +x."""
         z = self.z_i if z is None else z
-        here = [dr.safe_sqrt(1 - dr.square(z)), mi.Float64(0), z]
-        return here if past is None else turned(here, -past)
+        return [dr.safe_sqrt(1 - dr.square(z)), mi.Float64(0), z]
 
     def fraction(self, end: int) -> mi.Float64:
         """What an end of the segment has of this azimuth."""
@@ -149,22 +203,22 @@ class IncidentPatches:
     def __init__(self, patches: Subdivision) -> None:
         self.patches = patches
 
-    def azimuth(self, wi: mi.Vector3f) -> mi.Float64:  # noqa: ARG002
-        """Azimuth of the frame of lobes."""
-        return mi.Float64(0)
+    def frame(self, wi: mi.Vector3f) -> Turn:  # noqa: ARG002
+        """Return the frame of lobes, whatever the incident direction."""
+        return Turn(mi.Float64(1), mi.Float64(0))
 
     def measured(self, azimuth: mi.UInt32) -> mi.Float64:  # noqa: ARG002
         """Azimuth of the frame of lobes."""
         return mi.Float64(0)
 
-    def around(self, wi: mi.Vector3f, phi: mi.Float64) -> list[Place]:
+    def around(self, wi: mi.Vector3f, frame: Turn) -> list[Place]:
         """Return the row of the patch that holds `wi`."""
         v = dr.normalize(wi)
         row = mi.UInt32(self.patches.patch_index(DRJIT, v.x, v.y, dr.abs(v.z)))
         row = dr.minimum(row, self.patches.n_patches - 1)  # of NaN too
         z = mi.Float64(v.z)
         one, zero, first = mi.Float64(1), mi.Float64(0), mi.UInt32(0)
-        return [Place(one, first, first, (row, row), zero, phi, z, (z, z))]
+        return [Place(one, first, first, (row, row), zero, frame, z, (z, z))]
 
 
 class IncidentPlaces:
@@ -182,18 +236,24 @@ class IncidentPlaces:
         self.cos_i = doubles(np.cos(np.radians(grid.theta_i)))
         self.phi_i = doubles(np.radians(grid.phi_i))
 
-    def azimuth(self, wi: mi.Vector3f) -> mi.Float64:
+    def frame(self, wi: mi.Vector3f) -> Turn:
         """Azimuth of `wi`; along the normal, where all meet, the record's first one."""
-        normal = (wi.x == 0) & (wi.y == 0)
-        first = read(self.phi_i, mi.UInt32(0))
-        return dr.select(normal, first, mi.Float64(dr.atan2(wi.y, wi.x)))
+        x, y = mi.Float64(wi.x), mi.Float64(wi.y)
+        sine = dr.sqrt(x * x + y * y)
+        first = turn_by(read(self.phi_i, mi.UInt32(0)))
+        known = sine > 0
+        scale = dr.rcp(dr.select(known, sine, 1))
+        return Turn(
+            dr.select(known, scale * x, first.cos),
+            dr.select(known, scale * y, first.sin),
+        )
 
     def measured(self, azimuth: mi.UInt32) -> mi.Float64:
         """Azimuth of the records of that number, in radians."""
         return read(self.phi_i, azimuth)
 
-    def around(self, wi: mi.Vector3f, phi: mi.Float64) -> list[Place]:
-        """Return the one or two measured azimuths to mix for `wi`, whose own is phi."""
+    def around(self, wi: mi.Vector3f, frame: Turn) -> list[Place]:
+        """Return the one or two measured azimuths to mix for `wi`."""
         segment, t = mi.UInt32(0), mi.Float64(0)
         if self.n_angles > 1:
             x, y = mi.Float64(wi.x), mi.Float64(wi.y)
@@ -203,17 +263,18 @@ class IncidentPlaces:
             t = dr.clip((sine - low) / (high - low), 0, 1)
         z_i = mi.Float64(wi.z) / dr.sqrt(mi.Float64(dr.squared_norm(wi)))
         ends = segment, dr.minimum(segment + 1, self.n_angles - 1)
+        z_ends = tuple(read(self.cos_i, end) for end in ends)
 
-        def place(weight: Any, azimuth: mi.UInt32, past: mi.Float64) -> Place:
+        def place(weight: Any, azimuth: mi.UInt32, past: Turn) -> Place:
             first = azimuth * self.n_angles
             rows = first + ends[0], first + ends[1]
-            z_ends = tuple(read(self.cos_i, row - first) for row in rows)
-            number = azimuth * self.n_segments + segment
-            return Place(weight, azimuth, number, rows, t, past, z_i, z_ends)
+            return Place(weight, azimuth, segment, rows, t, past, z_i, z_ends)
 
         if self.n_azimuths == 1:
-            return [place(mi.Float64(1), mi.UInt32(0), mi.Float64(0))]
+            none = Turn(mi.Float64(1), mi.Float64(0))
+            return [place(mi.Float64(1), mi.UInt32(0), none)]
         turn = 2 * dr.pi
+        phi = dr.atan2(frame.sin, frame.cos)
         phi = phi - turn * dr.floor(phi / turn)  # -= would change the caller's too
         end = mi.UInt32(self.n_azimuths - 1)
         low = last(self.n_azimuths, lambda i: read(self.phi_i, i) <= phi)
@@ -225,4 +286,7 @@ class IncidentPlaces:
         past = dr.select(past < 0, past + turn, past)
         gap = dr.select(gap <= 0, gap + turn, gap)
         fraction = past / gap
-        return [place(1 - fraction, low, past), place(fraction, high, past - gap)]
+        return [
+            place(1 - fraction, low, turn_by(past)),
+            place(fraction, high, turn_by(past - gap)),
+        ]

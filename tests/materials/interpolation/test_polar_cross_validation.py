@@ -44,7 +44,7 @@ def facets_both(patches, angles, eta=1.5):
 
 @pytest.mark.parametrize("eta", [1.5, 1 / 1.5])
 def test_records_say_how_their_lobes_move(eta):
-    """Those of facets by micro-normals; what stays where it is, by quantiles."""
+    """Those of facets by micro-normals; what stays where it is by quantiles."""
     patches = gonio.subdivision("projected:24x48")
     # from inside, below where most facets reflect all light
     angles = ANGLES if eta > 1 else (0, 10, 20, 30)
@@ -101,10 +101,16 @@ def test_diffuse_light_is_as_bright_at_the_horizon_as_elsewhere(theta_i):
 
 
 def test_too_few_angles_say_nothing():
-    """Of two no one is between others."""
+    """Of two no one is between others; twin: anisotropic ones predict each other."""
     patches = gonio.subdivision("projected:24x48")
     record = record_of(patches, ANGLES[:2], *facets_both(patches, ANGLES[:2]))
     assert not half_vector_segments(MeasuredLobes(record))
+    incidents = [(theta, phi) for theta in (20, 40) for phi in (0, 90, 180, 270)]
+    theta_i, phi_i = np.transpose(incidents)
+    lobes = facet_lobes(patches, incidents, (0.1, 0.2))[:, None] / 2
+    record = synthetic.exact(lobes, theta_i, str(patches), phi_i)
+    (way,) = half_vector_segments(MeasuredLobes(record))
+    assert way.segments == (True,)
 
 
 def test_light_of_the_normal_alone_says_no_index():
@@ -182,7 +188,7 @@ def shares(face, wi, patches):
 def test_samples_follow_values_where_lanes_move_in_different_ways(reflects, eta):
     """On each segment, in each hemisphere, between azimuths.
 
-    Twins: lit from elsewhere, and where lobes are reflected, by quantiles only.
+    Twins: lit from elsewhere, and where lobes are reflected, staying.
     """
     patches, coarse = (
         gonio.subdivision("projected:12x24"),
