@@ -34,12 +34,12 @@ from .checks import (
     sampling,
 )
 from .checks.consistency import check_again, check_identities, check_memory
+from .checks.flags import Declared
 from .conditions import Condition, Effort, sides_of
 from .cosines import explain_reciprocity
 from .diagnosis import likely_mistake
 from .evidence import BIAS, MAX_P, NOISE, Evidence, Question
 from .maps import in_radiance_mode
-from .mistakes import Kind
 from .phase_functions import ASKED, as_bsdf, check_maps, check_symmetry
 from .polarised import examine_polarised
 from .probe import Probe, number_parameters
@@ -299,7 +299,7 @@ def _check_samples(
         check_symmetry(evidence, samples)
         return
     eval_pdf.check_lattice(evidence, probe, *lattice)
-    ways = reciprocity.both_ways(samples)
+    ways = reciprocity.ways_of(samples)
     if ways is not None:
         ways = reciprocity.dispersed(directions.check_eta(evidence, ways))
         reciprocity.check_ways(evidence, ways)
@@ -343,10 +343,12 @@ def _check_maps(
     lit = any(samples.given.any() for samples in evidence.samples)
     lit = lit or any(m.smooth_flux.any() for m in evidence.maps)
     if not (lit or failed):
-        dark = (b for b in evidence.of("flags") if b.kind is Kind.UNDECLARED_SIDE)
+        dark = (
+            b.guess for b in evidence.of("flags") if b.guess.mistake is Declared.SIDE
+        )
         text = "no light was scattered, so that nothing was compared"
         if other := next(dark, None):
-            text = OF_ANOTHER_SIDE.format(sides[0], other.guess.fields["side"])
+            text = OF_ANOTHER_SIDE.format(sides[0], other.fields["side"])
         _leave_undecided(evidence, text)
     if failed:
         text = (

@@ -13,9 +13,11 @@ from ...array_types import Flags, Floats
 from ...mitsuba_compat import floats
 from ...single_precision import BSDF_ROUNDING
 from ...specimen.bsdf_trial import PluginFault
+from ..arrays import answer_of, drawn, of_eval, parameters
 from ..conditions import Effort
 from ..evidence import INTERFACE, Evidence
-from ..mistakes import EVAL, PDF, Function, Kind
+from ..judgements import equal
+from ..mistakes import EVAL, EVAL_PDF, PDF, Claim, Function
 from ..probe import (
     Probe,
     as_plugin_fault,
@@ -34,6 +36,26 @@ from .parameters import (
     opaque,
     turns,
 )
+
+
+def gradient(
+    bsdf: Any, ctx: Any, si: Any, u: Any, what: Any, name: str
+) -> tuple[float, float]:
+    """By how much the sum of all answers changes with a parameter, and its gradient."""
+    (bs, _), params = drawn(bsdf, ctx, si, u), parameters(bsdf)
+
+    def total(x: Any) -> Any:
+        params.update({name: x})
+        return dr.sum(what(bsdf, ctx, si, bs.wo, u), axis=None)
+
+    x, flags = type(params[name])(params[name]), dr.ADFlag.AllowNoGrad
+    change = np.ravel(total(x + 1e-3) - total(x - 1e-3))[0] / 2e-3
+    dr.enable_grad(x)
+    forward = np.sum(dr.forward_to(total(x), flags=flags))
+    dr.backward(total(x), flags=flags)
+    found = [forward, np.sum(dr.grad(x))]
+    return change, max(found, key=lambda one: abs(one - change))
+
 
 # Relative steps of central differences, whose error falls with their square: where the
 # three do not agree, there is nothing to compare with.
@@ -58,8 +80,6 @@ N_ASKED = 2**10
 
 # The graph stays: all functions follow what an update has prepared.
 FLAGS = dr.ADFlag.ClearVertices | dr.ADFlag.AllowNoGrad
-
-EVAL_PDF = Function.EVAL_PDF
 
 # What functions answer, a value before a density.
 FUNCTIONS: Mapping[Function, Callable[[Probe, mi.Vector3f], tuple[Any, ...]]] = {
@@ -132,16 +152,18 @@ def check_samples(evidence: Evidence, plan: Effort, samples: Samples) -> None:
         except PluginFault:
             closely = True  # by which?
     for name in names:
-        how: dict[str, Any] = {"kind": Kind.GRADIENT, "about": name}
         try:
             line = _Line(params, [name])
             for guess, text, size in _wrong_gradients(probe, line, wo, closely):
                 text, at = f"by {name}: {text}", samples.condition
-                evidence.breach(PARAMETERS, guess, at, found=text, size=size, **how)
+                shown = Claim(gradient, equal, (answer_of(guess.functions), name))
+                how = {"found": text, "size": size, "shown": shown}
+                evidence.breach(PARAMETERS, guess, at, **how)
         except PluginFault as fault:
             if fault.function == "parameters_changed":
                 continue  # a step beyond a range
-            evidence.breach_of_fault(PARAMETERS, fault, **how)
+            shown = Claim(gradient, equal, (of_eval, name))
+            evidence.breach_of_fault(PARAMETERS, fault, shown=shown)
 
 
 def _wrong_gradients(

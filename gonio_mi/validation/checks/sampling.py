@@ -13,19 +13,29 @@ from scipy import special
 from ...array_types import Flags, Floats, Integers
 from ...collector.directions import direction
 from ...single_precision import BSDF_ROUNDING
+from ..arrays import of_pdf
 from ..conditions import Condition, Sweep
+from ..densities import directions, in_box, total
 from ..evidence import BIAS, COMBINED, INTERFACE, MAX_P, NOISE, SAME, Evidence, Question
 from ..factors import OF_WEIGHT, has_known_factor, ratios_of
 from ..integrals import SUM_ERROR
+from ..judgements import apart
 from ..maps import FourMaps, skew_score, unexplained_fraction
-from ..mistakes import PDF, SAMPLE, Function, Kind, Mistake
+from ..mistakes import PDF, SAMPLE, Claim, Function, Mistake
 from ..probe import Probe, is_delta, numbers, spectral, uniform, vectors
 from ..samples import samples_of
 from .answers import lattice
 from .weights import WEIGHTS, check_scores
 
 SAMPLING = Question(
-    "sampling", __doc__, BIAS, COMBINED, volumes=SAME, identity=True, needed=True
+    "sampling",
+    __doc__,
+    BIAS,
+    COMBINED,
+    volumes=SAME,
+    identity=True,
+    needed=True,
+    shown=Claim(in_box, apart, (directions,)),
 )
 
 
@@ -67,7 +77,8 @@ def check_maps(evidence: Evidence, maps: FourMaps) -> None:
     used, unused = maps.pdf.sum(), maps.due.unused.values.sum()
     slack = max(maps.pdf_sum_bound, SUM_ERROR) + maps.due.unused.sum_bound
     if used + unused > 1 + slack:
-        mass, how = used + unused, {"kind": Kind.MASS, "of_flux": True}
+        shown = Claim(total, apart, (of_pdf, 1))
+        mass, how = used + unused, {"shown": shown, "of_flux": True}
         dark = ""
         if used <= 1 + slack:
             how["effect"] = INTERFACE
@@ -86,7 +97,7 @@ def check_unsampled_side(evidence: Evidence, condition: Condition) -> None:
     mass = 4 * np.pi * float(np.nan_to_num(density, nan=0).mean())
     if mass > 0:
         how = {"found": f"`pdf` integrates to {mass:.3g}", "size": mass}
-        how |= {"effect": INTERFACE, "kind": Kind.MASS_OF_A_DARK_SIDE}
+        how |= {"effect": INTERFACE, "shown": Claim(total, apart, (of_pdf, 0))}
         evidence.breach(SAMPLING, Sampling.DARK_SIDE(PDF), condition, **how)
 
 

@@ -1,18 +1,30 @@
 """The mean of sampled weights is the integral of `eval`."""
 
+from typing import Any
+
 import numpy as np
 
+from ..arrays import of_eval
 from ..conditions import Condition
+from ..densities import in_box, total, weights
 from ..evidence import BIAS, MINOR, NOISE, SAME, SAMPLED, Evidence, Question
 from ..integrals import SUM_ERROR
+from ..judgements import apart
 from ..maps import FourMaps, unexplained_fraction, unexplained_light
-from ..mistakes import EVAL, PDF, Kind, Mistake
+from ..mistakes import EVAL, PDF, Claim, Mistake
 from ..probe import Probe
 from ..samples import Samples, beyond_rounding
 from .answers import lattice
 
 WEIGHTS = Question(
-    "weights", __doc__, BIAS, SAMPLED, volumes=SAME, identity=True, needed=True
+    "weights",
+    __doc__,
+    BIAS,
+    SAMPLED,
+    volumes=SAME,
+    identity=True,
+    needed=True,
+    shown=Claim(in_box, apart, (weights,)),
 )
 
 
@@ -66,7 +78,8 @@ def check_unsampled_side(evidence: Evidence, condition: Condition) -> bool:
     value = np.nan_to_num(Probe(evidence.bsdf, condition).values(lattice()), nan=0)
     light = 4 * np.pi * float(value.mean(axis=0).max())
     if light > 0:
-        how = {"size": light, "off": min(light, 1.0), "kind": Kind.LIGHT_OF_A_DARK_SIDE}
+        how: dict[str, Any] = {"size": light, "off": min(light, 1.0)}
+        how["shown"] = Claim(total, apart, (of_eval, 0))
         how["found"] = f"{light:.3g} of the light"
         evidence.breach(WEIGHTS, Weights.DARK_SIDE(EVAL), condition, **how)
     return light == 0

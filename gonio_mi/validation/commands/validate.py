@@ -64,7 +64,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     text = "Probability with which a correct plugin fails."
     add_number(parser, "--alpha", "P", text, 1e-3)
     add_text(parser, "--report", "HTML", "Write a page with verdict and maps.")
-    text = "Write the worst failure as a script of at most 20 lines, without gonio_mi."
+    text = "Write the worst failure as a script of at most 40 lines, without gonio_mi."
     add_text(parser, "--reproducer", "PY", text)
     add_json(parser)
     add_scene_options(parser, VARIANTS)
