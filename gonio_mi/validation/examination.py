@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -32,6 +32,7 @@ from .checks import (
     parameters,
     reciprocity,
     sampling,
+    weights,
 )
 from .checks.consistency import check_again, check_identities, check_memory
 from .checks.flags import Declared
@@ -138,7 +139,10 @@ def validate(
                 load = lambda: _bsdf(specimen)[0]  # noqa: E731
             n_asked = examine_polarised(evidence, effort, specimen, load)
         else:
-            _examine(evidence, plan, name, progress)
+            load = None
+            if isinstance(specimen, dict):
+                load = lambda: _bsdf(specimen)[0]  # noqa: E731
+            _examine(evidence, plan, name, load, progress)
     except PluginFault as fault:
         _stop(evidence, fault)
     properties = properties_of(evidence, alpha, allow)
@@ -225,15 +229,23 @@ def _bsdf(
     return specimen, name or specimen.class_name(), source, tints
 
 
-def _examine(evidence: Evidence, plan: Effort, name: str, progress: bool) -> None:
+def _examine(
+    evidence: Evidence,
+    plan: Effort,
+    name: str,
+    load: Callable[[], mi.BSDF] | None,
+    progress: bool,
+) -> None:
     """Run all checks with a progress bar."""
     with bar(progress, total=N_STEPS, desc=f"validate {name}", unit="step") as report:
-        for step in _steps(evidence, plan):
+        for step in _steps(evidence, plan, load):
             if report is not None:
                 report(step)
 
 
-def _steps(evidence: Evidence, plan: Effort) -> Iterator[float]:
+def _steps(
+    evidence: Evidence, plan: Effort, load: Callable[[], mi.BSDF] | None
+) -> Iterator[float]:
     """Run all checks, those that explain most first; yield steps of `N_STEPS`."""
     bsdf, seed, volumes = evidence.bsdf, evidence.seed, evidence.of_volumes
     n = bsdf.component_count()
@@ -262,6 +274,7 @@ def _steps(evidence: Evidence, plan: Effort) -> Iterator[float]:
     if plan is not Effort.named("quick") and not volumes:
         cost.check_time(evidence, usual)  # it takes a second
     check_memory(evidence)
+    parameters.check_instances(evidence, load)
     cost.check_recorded(evidence, usual)
 
 
@@ -299,6 +312,8 @@ def _check_samples(
         check_symmetry(evidence, samples)
         return
     eval_pdf.check_lattice(evidence, probe, *lattice)
+    if condition.component is None:
+        weights.check_unsampled(evidence, samples, *lattice)
     ways = reciprocity.ways_of(samples)
     if ways is not None:
         ways = reciprocity.dispersed(directions.check_eta(evidence, ways))

@@ -53,7 +53,7 @@ def elements(a: Any, b: Any) -> None:
     off = np.nan_to_num(np.abs(a - b) / np.fmax(np.fmax(a[0, 0], b[0, 0]), 1e-30))
     k = np.unravel_index(np.argsort(off, axis=None)[-1 - off.size // 10000], off.shape)
     a, b, off = (np.broadcast_to(x, off.shape)[k] for x in (a, b, off))
-    print(f"element {k[:2]}: {a:.6g} and {b:.6g}: {off / ROUNDING:.3g} roundings")
+    print(f"element {k[0]}{k[1]}: {a:.6g} and {b:.6g}: {off / ROUNDING:.3g} roundings")
 
 
 # Those of chance, which need many samples.

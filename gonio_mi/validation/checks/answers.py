@@ -120,6 +120,8 @@ class Answers(Mistake):
     OF_ORDER = "{who} depends on the place of a ray in the array"
     OF_NUMBER = "{who} depends on the number of rays that are asked together"
     OTHER_ALBEDO = "{who} is not the reflectance of `eval`, {due:.4g}"
+    OF_INSTANCE = """{who} depends on another instance of the plugin: the class keeps
+        what belongs to one"""
     OF_CALLS = "{who} returns different values when called again"
     BY_CHANCE = "{who} draws random numbers of its own, and is not reproducible"
 

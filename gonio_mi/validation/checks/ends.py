@@ -16,8 +16,10 @@ from ..arrays import (
     answer_of,
     drawn,
     lit,
+    lit_from,
     of_eval,
     rows,
+    sphere,
 )
 from ..conditions import Condition
 from ..evidence import BIAS, INTERFACE, SAME, Evidence, Question, answered
@@ -57,6 +59,14 @@ def at_ends(bsdf: Any, ctx: Any, si: Any, _: Any, what: Any) -> tuple[Any]:
             answer = rows(what(bsdf, ctx, there, wo, u))
             found.append(np.where(real, answer, 0).ravel())
     return (np.concatenate(found),)
+
+
+def straight(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> tuple[Any]:
+    """Answers are finite and not negative where wo is wi, -wi, or the mirror's."""
+    there = lit_from(si, sphere(u.y, u.z))
+    wi, mirror = there.wi, mi.reflect(there.wi)
+    found = [rows(what(bsdf, ctx, there, wo, u)) for wo in (wi, -wi, mirror)]
+    return (np.hstack(found),)
 
 
 def length_at_ends(bsdf: Any, ctx: Any, si: Any, _: Any) -> tuple[Any]:
@@ -99,6 +109,9 @@ GRAZING = 2.0**-24
 ANGLES = (0, 1e-3, 89.99, 90, 90.01, 120, 179.999, 180)
 LAST = float(np.nextafter(np.float32(1), np.float32(0)))
 NUMBERS = (0.0, 0.5, LAST)
+
+# Directions, of which a tenth rounds to more than the length 1.
+N_STRAIGHT = 2**11
 
 # Names of parameters that are a roughness, and the limits to try.
 LIMITS = dict.fromkeys(("alpha", "alpha_u", "alpha_v", "roughness"), (1e-3, 1.0))
@@ -154,6 +167,33 @@ def _answers(probe: Probe, wo: Floats) -> tuple[Numbers, ...]:
     (value, pdf), n = probe.eval_pdf(vectors(wo)), len(wo)
     joint = spectral(value, n), numbers(pdf, n).astype(float)
     return probe.values(wo), probe.densities(wo), *joint
+
+
+@ENDS.asks("parameters")
+def check_straight(evidence: Evidence) -> None:
+    """Check directions wo that are wi, straight on, or the mirror's, of many wi.
+
+    By rounding, a product of unit vectors may be more than 1.
+    """
+    wi = np.random.default_rng(0).normal(size=(N_STRAIGHT, 3))
+    wi /= np.linalg.norm(wi, axis=1)[:, None]
+    condition = Condition(0.0, lit=tuple(wi[0]))
+    probe = Probe(evidence.bsdf, condition)
+    for words, wo in (
+        ("wo = wi", wi),
+        ("wo = -wi", -wi),
+        ("wo in the mirror direction", wi * [-1, -1, 1]),
+    ):
+        answers = probe.values(wo, wi), probe.densities(wo, wi)
+        for function, answer in zip((EVAL, PDF), answers):
+            wrong = ~np.isfinite(answer if answer.ndim == 1 else answer.sum(axis=1))
+            if wrong.any():
+                guess = Ends.IMPROPER(function, value=example(answer[wrong]))
+                text = f"value {example(answer[wrong])} where {words}, for "
+                text += f"{100 * wrong.mean():.3g} % of all incident directions"
+                shown = Claim(straight, any_improper, (answer_of(function),))
+                how = {"found": text, "off": PIXELS, "size": 2.0, "shown": shown}
+                evidence.breach(ENDS, guess, **how)
 
 
 @ENDS.asks("parameters")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import drjit as dr
@@ -14,7 +15,7 @@ from ...mitsuba_compat import floats
 from ...single_precision import BSDF_ROUNDING
 from ...specimen.bsdf_trial import PluginFault
 from ..arrays import answer_of, drawn, of_eval, parameters
-from ..conditions import Effort
+from ..conditions import Condition, Effort
 from ..evidence import INTERFACE, Evidence
 from ..judgements import equal
 from ..mistakes import EVAL, EVAL_PDF, PDF, Claim, Function
@@ -127,7 +128,8 @@ def check_samples(evidence: Evidence, plan: Effort, samples: Samples) -> None:
 
     Of ``eval`` forward, by each parameter; of all functions also backward, by all
     parameters at once, and by each where that shows something. The latter where
-    updates may be many.
+    updates may be many. In radiance mode, which is that of differentiable rendering,
+    over a sweep of incident directions and places, if that shows nothing.
     """
     try:
         params, values = number_parameters(evidence.bsdf, mi.TensorXf)
@@ -151,11 +153,34 @@ def check_samples(evidence: Evidence, plan: Effort, samples: Samples) -> None:
             closely = bool(wrong - {EVAL, EVAL_PDF} if EVAL in wrong else wrong)
         except PluginFault:
             closely = True  # by which?
+    at = samples.condition
+    _check_each(evidence, params, names, probe, wo, closely, at)
+    swept = evidence.sweeps[0]
+    usable = swept.smooth & np.isfinite(swept.eval).all(axis=1)
+    if evidence.of("parameters") or evidence.of_volumes or not usable.any():
+        return
+    own = np.flatnonzero(usable)[: 4 * N_ASKED]
+    sweep = replace(swept.condition, mode="radiance", fields=())
+    probe = Probe(evidence.bsdf, sweep).of_lanes(mi.UInt32(own))
+    at = replace(at, mode="radiance")
+    _check_each(evidence, params, names, probe, swept.wo[own], False, at)
+
+
+def _check_each(
+    evidence: Evidence,
+    params: Any,
+    names: Sequence[str],
+    probe: Probe,
+    wo: Floats,
+    closely: bool,
+    at: Condition,
+) -> None:
+    """Check gradients by each parameter; findings are told of a condition."""
     for name in names:
         try:
             line = _Line(params, [name])
             for guess, text, size in _wrong_gradients(probe, line, wo, closely):
-                text, at = f"by {name}: {text}", samples.condition
+                text = f"by {name}: {text}"
                 shown = Claim(gradient, equal, (answer_of(guess.functions), name))
                 how = {"found": text, "size": size, "shown": shown}
                 evidence.breach(PARAMETERS, guess, at, **how)

@@ -114,10 +114,11 @@ GOLDEN = (5**0.5 - 1) / 2
 # Largest and smallest relative steps that all functions must follow, or steps of a 0.
 FAR, NEAR = 0.5, 2.0**-4
 
-# Values to which numbers go further: down if they went up, else halfway to 1, and to
-# the smallest roughness or share that is usual.
+# Values to which numbers go further: down if they went up, else halfway to 1, next to
+# 1, and to the smallest roughness or share that is usual.
 FURTHER: tuple[Callable[[Floats], Floats], ...] = (
     lambda x: np.where(np.abs(x) > 1, x / 2, np.sign(x) * (1 + np.abs(x)) / 2),
+    lambda x: np.where(np.abs(x) > 1, 1.25 * x, np.sign(x) * 0.98),
     lambda x: np.sign(x) * 1e-3,
 )
 
@@ -155,6 +156,35 @@ def check_changes(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> Non
         text = "another answer after parameters were changed and changed back"
         shown = _returned(own[0])
         evidence.breach(PARAMETERS, guess, found=text, size=3.0, shown=shown)
+
+
+def check_instances(evidence: Evidence, load: Callable[[], mi.BSDF] | None) -> None:
+    """Check that answers stay where another instance is loaded, and is changed.
+
+    Of plugins in Python, whose class may keep what belongs to an instance.
+    """
+    plugin = type(getattr(evidence.bsdf, "phase_function", evidence.bsdf))
+    if load is None or plugin in (mi.BSDF, mi.PhaseFunction) or evidence.noisy:
+        return
+    biased = any(one.effect == BIAS for one in evidence.breaches)
+    if biased or evidence.of("answers"):
+        return  # it adds nothing, or `sample` draws numbers of its own
+    usual: Any = evidence.sweeps[0].condition
+    asked = replace(usual, n=N_UPDATED), N_UPDATED, (evidence.seed, 6), False
+    before = samples_of(evidence.bsdf, *asked)
+    try:
+        other = load()
+        values = _changeable(other)
+        with changed(other, {name: _other_value(x) for name, x in values.items()}):
+            own = _differing(evidence, before)
+    except PluginFault:
+        return  # of a value out of its range
+    for function in own:
+        guess = answers.Answers.OF_INSTANCE(function)
+        shown = Claim(answers.again, by_sample, (answer_of(function),))
+        how = {"found": "other values", "size": 2.0, "shown": shown}
+        evidence.breach(answers.ANSWERS, guess, usual, **how)
+        return
 
 
 def _check_values(

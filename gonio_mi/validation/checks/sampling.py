@@ -23,7 +23,7 @@ from ..judgements import apart
 from ..maps import FourMaps, skew_score, unexplained_fraction
 from ..mistakes import PDF, SAMPLE, Claim, Function, Mistake
 from ..probe import Probe, is_delta, numbers, spectral, uniform, vectors
-from ..samples import samples_of
+from ..samples import beyond_rounding, samples_of
 from .answers import lattice
 from .weights import WEIGHTS, check_scores
 
@@ -110,15 +110,19 @@ def check_sweep(evidence: Evidence, sweep: Sweep, key: tuple[int, ...]) -> None:
     """
     n, probe = sweep.n, Probe(evidence.bsdf, sweep)
     bs, weight = probe.sample(*uniform(n, (*key, 1)))
-    drawn, even = spectral(bs.wo, n), _even_directions(evidence.bsdf, sweep, key)
+    drawn = spectral(bs.wo, n)
     given = (spectral(weight, n) != 0).any(axis=1) & ~numbers(is_delta(bs), n)
     given &= np.isfinite(drawn).all(axis=1)
+    # whatever `flags` declares, which is a property of its own
+    crossing = given & (drawn[:, 2] * sweep.wi[:, 2] < 0)
+    through = _transmits(evidence.bsdf) or beyond_rounding(crossing)
+    even = _even_directions(sweep, through, key)
     asked = np.where(given[:, None], drawn, sweep.wi)
     pdf, lit = _densities(probe, asked, given)
     pdf_even, _ = _densities(probe, even, np.ones(n, dtype=bool))
     if not (lit.any() or pdf_even.any()):
         return
-    u = 1 / (4 * np.pi if _transmits(evidence.bsdf) else 2 * np.pi)
+    u = 1 / (4 * np.pi if through else 2 * np.pi)
     terms = [lit * u / (pdf + u), pdf_even / (pdf_even + u)]
     cells = _cells(sweep)
     weighed = [_weighings(sweep, wo, x) for wo, x in zip((drawn, even), terms)]
@@ -166,10 +170,10 @@ def _transmits(bsdf: mi.BSDF) -> bool:
     return bool(int(bsdf.flags()) & int(mi.BSDFFlags.Transmission))
 
 
-def _even_directions(bsdf: mi.BSDF, sweep: Sweep, key: tuple[int, ...]) -> Floats:
+def _even_directions(sweep: Sweep, through: bool, key: tuple[int, ...]) -> Floats:
     """Directions of uniform density over the sphere, or over the lit hemisphere."""
     random = np.random.default_rng([*key, 2])
-    low = -1 if _transmits(bsdf) else 0
+    low = -1 if through else 0
     z, phi = random.uniform(low, 1, sweep.n), random.uniform(0, 2 * np.pi, sweep.n)
     wo = direction(np.arccos(z), phi)
     wo[:, 2] *= np.sign(sweep.wi[:, 2])
