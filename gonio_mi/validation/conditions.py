@@ -262,7 +262,8 @@ N_SPOTS = 1021
 def surroundings() -> dict[str, Floats]:
     """Fields of surface interactions, rows of `N_SPOTS`; vectors in the local frame.
 
-    Normals are up to 30 degrees off the local one, frames turned, tangents sheared and
+    Times are up to 4, distances and every third place up to 1e4. Normals are up to 30
+    degrees off the local one, frames turned, tangents .5 to 6 long, sheared and
     half of them mirrored. Every other uv is one of `PLACES`; the others are in [-2, 3],
     in steps that single precision knows, some on seams.
     """
@@ -278,11 +279,12 @@ def surroundings() -> dict[str, Floats]:
     q[:, :, 2] = np.cross(q[:, :, 0], q[:, :, 1])
     u = rng.uniform(0, 2 * np.pi, n)
     v = u + rng.choice([-1, 1], n) * np.radians(rng.uniform(50, 130, n))
-    u, v = (rng.uniform(2, 6, (n, 1)) * direction(np.pi / 2, x) for x in (u, v))
+    u, v = (rng.uniform(0.5, 6, (n, 1)) * direction(np.pi / 2, x) for x in (u, v))
     return {
-        "time": rng.random(n),
-        "t": rng.uniform(0.1, 40, n),
-        "p": rng.uniform(-10, 10, (n, 3)),
+        "time": 4 * rng.random(n),
+        "t": 10 ** rng.uniform(-1, 4, n),
+        "p": rng.uniform(-10, 10, (n, 3))
+        * np.where(np.arange(n) % 3, 1, 1000)[:, None],
         "n": turned(np.radians(rng.uniform(0, 30, n))),
         "s": q[:, :, 0],
         "sh_frame": q[:, :, 2],

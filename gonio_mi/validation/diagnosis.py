@@ -9,6 +9,7 @@ them tells the mistake (:mod:`.factors`); where counts and ``pdf`` differ, these
 from collections.abc import Mapping
 
 import mitsuba as mi
+import numpy as np
 
 from ..array_types import Floats
 from .checks.answers import Answers, asked_again
@@ -17,7 +18,7 @@ from .checks.weights import Weights
 from .counts import as_turned, guess_of_counts
 from .evidence import EFFECTS, INTERFACE, MODEL, NOISE, Evidence, Question
 from .factors import OF_PDF, OF_SAMPLED_PDF, explain, explain_weights, ratios_of
-from .mistakes import PDF, SAMPLE, Guess, Mistake
+from .mistakes import EVAL, PDF, SAMPLE, Guess, Mistake
 from .probe import Probe
 from .samples import beyond_rounding, unequal
 
@@ -32,9 +33,15 @@ class Diagnosis(Mistake):
     ANY = "`sample` or `eval` is wrong"
     NOT_DIVIDED_BY_CHANCE = """{who} weight lacks division by the probability with which
         a direction is not rejected"""
+    SLIGHTLY = """{who}: one of their densities is wrong by {off:.2g} on average, less
+        than counts of directions tell at this effort"""
+    OTHER_MEAN = "{who}: the mean weight is not the integral of `eval`"
     ONE_COMPONENT = "{who} is that of component {component} alone"
     PLAIN_SUM = "{who} is the sum of its components', without the probability of each"
 
+
+# Sum of squared scores that counts of directions may hide.
+MAX_UNSEEN = 100
 
 # What is left where nothing explains a failure.
 ANY = Diagnosis.ANY(SAMPLE)
@@ -120,10 +127,25 @@ def _without_counts(evidence: Evidence, failed: Mapping[str, str]) -> Guess | No
     if "sampling" in failed:
         return None
     if "sampled_pdf" in failed:
-        return explain(ratios_of(evidence, OF_SAMPLED_PDF), OF_SAMPLED_PDF)
+        guess = explain(ratios_of(evidence, OF_SAMPLED_PDF), OF_SAMPLED_PDF)
+        off = _difference(evidence)
+        n = max((maps.totals.n for maps in evidence.maps), default=0)
+        if _density(evidence, failed) and n * off**2 < MAX_UNSEEN:
+            guess = Diagnosis.SLIGHTLY(SAMPLE | PDF, off=off)
+        return guess
     if "weights" in failed and not evidence.of("sampled_weight"):
-        return _changed(evidence) or guess_of_counts(evidence, True) or ANY
+        return _changed(evidence) or Diagnosis.OTHER_MEAN(EVAL | SAMPLE)
     return explain_weights(evidence)
+
+
+def _difference(evidence: Evidence) -> float:
+    """Root mean square of the pdf of ``sample`` over that of ``pdf``, less 1."""
+    each = []
+    for samples in evidence.whole:
+        own = samples.usable & (samples.pdf > 0)
+        ratio = samples.sampled_pdf[own] / samples.pdf[own]
+        each.append(np.mean((ratio - 1) ** 2) if own.any() else 0.0)
+    return float(max(each, default=0.0)) ** 0.5
 
 
 def _changed(evidence: Evidence) -> Guess | None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from enum import Enum
 from functools import cached_property
 from typing import Any, TypeVar
 
@@ -15,9 +14,11 @@ import numpy as np
 from ..array_types import Flags, Floats
 from ..single_precision import BSDF_ROUNDING
 from ..specimen.bsdf_trial import PluginFault
+from .arrays import drawn, parameters
 from .conditions import Condition, Effort
+from .judgements import same
 from .maps import FourMaps, four_maps
-from .mistakes import Function, Guess, Kind, MatrixKind, Mistake
+from .mistakes import Claim, Function, Guess, Mistake
 from .probe import Probe
 from .samples import Samples, beyond_rounding, means_differ, unequal
 
@@ -56,6 +57,15 @@ MIN_RANDOM = 0.01
 MAX_RATIO = 1e20
 
 
+def answered(bsdf: Any, ctx: Any, si: Any, u: Any, function: str) -> tuple[str, str]:
+    """Whether a function answers."""
+    bs, _ = drawn(bsdf, ctx, si, u)
+    if function in ("eval", "pdf", "eval_pdf"):
+        print(getattr(bsdf, function)(ctx, si, bs.wo, True))
+    print(parameters(bsdf), bsdf)
+    return "an answer", "an answer"
+
+
 class Fault(Mistake):
     """How a function fails to answer."""
 
@@ -88,6 +98,8 @@ class Question:
         Whether it compares two functions: which is wrong, all of these tell together.
     needed : bool
         Whether nothing passes where it is undecided.
+    shown : Claim, optional
+        By what a script shows that it is lacking, unless a breach says otherwise.
     explain : callable, optional
         Takes the evidence and guesses what is wrong, where it is not the worst breach.
     checks : dict of list
@@ -106,6 +118,7 @@ class Question:
     rank: int = 1
     identity: bool = False
     needed: bool = False
+    shown: Claim | None = None
     explain: Callable[[Evidence], Guess | None] | None = None
     checks: dict[str, list[Callable[..., None]]] = field(default_factory=dict)
 
@@ -146,11 +159,8 @@ class Finding:
         Fraction of the light, or of the samples, that is wrong; None if not known.
     effect : str
         On an image, one of `EFFECTS`; that of its question by default.
-    kind : Kind or MatrixKind
-        By which its script is chosen; that of the question's name by default.
-    about : str
-        More of that: what of an answer, another function, a parameter, a component, a
-        normal, or pairs of directions.
+    shown : Claim
+        By which its script shows it; that of its question by default.
     guess : Guess or None
         Guilty functions and mistake; None of a test that does not tell them.
     of_flux : bool
@@ -163,16 +173,12 @@ class Finding:
     condition: Condition | None = None
     off: float | None = None
     effect: str = ""
-    kind: Enum | None = None
-    about: str = ""
+    shown: Claim | None = None
     guess: Guess | None = None
     of_flux: bool = False
 
     def __post_init__(self) -> None:
-        of_matrices = MatrixKind.__members__ if mi.is_polarized else {}
-        kinds: dict[str, Any] = {**Kind.__members__, **of_matrices}
-        own = kinds.get(self.name.upper(), Kind.RAISES)
-        object.__setattr__(self, "kind", self.kind or own)
+        object.__setattr__(self, "shown", self.shown or self.question.shown)
         object.__setattr__(self, "effect", self.effect or self.question.effect)
 
     @property
@@ -350,7 +356,8 @@ class Evidence:
         """Add a breach by which a function gives no usable answer."""
         fields = {"name": fault.function, "what": fault.what}
         guess = Fault.NO_ANSWER(Function.named(fault.function), **fields)
-        others = {"found": str(fault), "kind": Kind.RAISES} | others
+        raises = Claim(answered, same, (fault.function,))
+        others = {"found": str(fault), "shown": raises} | others
         self.breach(question, guess, **others)
 
     def breach_of_ratio(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -32,14 +32,15 @@ from .checks import (
     parameters,
     reciprocity,
     sampling,
+    weights,
 )
 from .checks.consistency import check_again, check_identities, check_memory
+from .checks.flags import Declared
 from .conditions import Condition, Effort, sides_of
 from .cosines import explain_reciprocity
 from .diagnosis import likely_mistake
 from .evidence import BIAS, MAX_P, NOISE, Evidence, Question
 from .maps import in_radiance_mode
-from .mistakes import Kind
 from .phase_functions import ASKED, as_bsdf, check_maps, check_symmetry
 from .polarised import examine_polarised
 from .probe import Probe, number_parameters
@@ -138,7 +139,10 @@ def validate(
                 load = lambda: _bsdf(specimen)[0]  # noqa: E731
             n_asked = examine_polarised(evidence, effort, specimen, load)
         else:
-            _examine(evidence, plan, name, progress)
+            load = None
+            if isinstance(specimen, dict):
+                load = lambda: _bsdf(specimen)[0]  # noqa: E731
+            _examine(evidence, plan, name, load, progress)
     except PluginFault as fault:
         _stop(evidence, fault)
     properties = properties_of(evidence, alpha, allow)
@@ -225,15 +229,23 @@ def _bsdf(
     return specimen, name or specimen.class_name(), source, tints
 
 
-def _examine(evidence: Evidence, plan: Effort, name: str, progress: bool) -> None:
+def _examine(
+    evidence: Evidence,
+    plan: Effort,
+    name: str,
+    load: Callable[[], mi.BSDF] | None,
+    progress: bool,
+) -> None:
     """Run all checks with a progress bar."""
     with bar(progress, total=N_STEPS, desc=f"validate {name}", unit="step") as report:
-        for step in _steps(evidence, plan):
+        for step in _steps(evidence, plan, load):
             if report is not None:
                 report(step)
 
 
-def _steps(evidence: Evidence, plan: Effort) -> Iterator[float]:
+def _steps(
+    evidence: Evidence, plan: Effort, load: Callable[[], mi.BSDF] | None
+) -> Iterator[float]:
     """Run all checks, those that explain most first; yield steps of `N_STEPS`."""
     bsdf, seed, volumes = evidence.bsdf, evidence.seed, evidence.of_volumes
     n = bsdf.component_count()
@@ -262,6 +274,7 @@ def _steps(evidence: Evidence, plan: Effort) -> Iterator[float]:
     if plan is not Effort.named("quick") and not volumes:
         cost.check_time(evidence, usual)  # it takes a second
     check_memory(evidence)
+    parameters.check_instances(evidence, load)
     cost.check_recorded(evidence, usual)
 
 
@@ -299,7 +312,9 @@ def _check_samples(
         check_symmetry(evidence, samples)
         return
     eval_pdf.check_lattice(evidence, probe, *lattice)
-    ways = reciprocity.both_ways(samples)
+    if condition.component is None:
+        weights.check_unsampled(evidence, samples, *lattice)
+    ways = reciprocity.ways_of(samples)
     if ways is not None:
         ways = reciprocity.dispersed(directions.check_eta(evidence, ways))
         reciprocity.check_ways(evidence, ways)
@@ -343,10 +358,12 @@ def _check_maps(
     lit = any(samples.given.any() for samples in evidence.samples)
     lit = lit or any(m.smooth_flux.any() for m in evidence.maps)
     if not (lit or failed):
-        dark = (b for b in evidence.of("flags") if b.kind is Kind.UNDECLARED_SIDE)
+        dark = (
+            b.guess for b in evidence.of("flags") if b.guess.mistake is Declared.SIDE
+        )
         text = "no light was scattered, so that nothing was compared"
         if other := next(dark, None):
-            text = OF_ANOTHER_SIDE.format(sides[0], other.guess.fields["side"])
+            text = OF_ANOTHER_SIDE.format(sides[0], other.fields["side"])
         _leave_undecided(evidence, text)
     if failed:
         text = (

@@ -280,11 +280,12 @@ def unexplained_fraction(maps: FourMaps, name: str) -> tuple[float, float]:
     return float(max(total, elsewhere) / whole), surplus
 
 
-def unexplained_light(maps: FourMaps, name: str) -> float:
+def unexplained_light(maps: FourMaps, name: str, max_p: float) -> float:
     """Bound on the light where samples are too many or few, over all of ``eval``.
 
     That of a patch, times how much of the samples or of their light is wrong there; and
-    all that is too rare to judge.
+    all that is too rare to judge. Where p-values of the mean or the spread of scores
+    are below `max_p`, what all patches share is wrong, though chance explains each.
     """
     n, flux = maps.totals.n, np.mean([one.values for one in maps.due.channels], axis=0)
     drawn, due = maps.totals.sums / n, maps.weights
@@ -295,7 +296,14 @@ def unexplained_light(maps: FourMaps, name: str) -> float:
         return 1.0
     columns = drawn - due, due, flux
     off, expected, light = (np.add.reduceat(x, scores.first) for x in columns)
-    off = np.abs(off) * _certain(scores.z) / np.maximum(expected, 1e-30)
+    z, p = np.nan_to_num(scores.z), scores.p_values
+    common = float(abs(z.mean())) if p.get("mean", 1.0) < max_p else 0.0
+    if p.get("spread", 1.0) < max_p:
+        spread = max(float(np.mean(z * z)) - 1, 0.0)
+        common = max(common, spread**0.5)
+    std_err = np.abs(off) / np.maximum(np.abs(z), 1e-30)
+    off = np.maximum(np.abs(off) * _certain(z), std_err * common * (z != 0))
+    off = np.minimum(off / np.maximum(expected, 1e-30), 1.0)
     return float(off @ light) / whole + 1 - maps.judged
 
 

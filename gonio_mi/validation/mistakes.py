@@ -1,27 +1,35 @@
-"""What is found: its kind, guilty functions, and mistakes by code with a sentence."""
+"""What is found: a claim, guilty functions, and mistakes by code with a sentence."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum, Flag, auto
-from pathlib import Path
 from typing import Any
 
-# Files of parts of scripts.
-SCRIPTS = Path(__file__).with_name("scripts")
-PARTS = "".join(one.read_text(encoding="utf-8") for one in sorted(SCRIPTS.glob("*.py")))
 
+@dataclass(frozen=True)
+class Claim:
+    """A property as a function states it, by whose source a script shows a finding.
 
-def kinds(name: str, of: str = "") -> Any:
-    """Enumeration of the parts of `scripts` whose names are `of` and capitals."""
-    return Enum(name, re.findall(rf"^# %% {of}([A-Z_]+)", PARTS, re.MULTILINE))
+    Attributes
+    ----------
+    stated : callable
+        Takes a BSDF, a context, interactions, random numbers and what is `given`;
+        returns what should be equal.
+    judge : callable
+        Takes that, and prints two numbers and how far apart they are.
+    given : tuple
+        Functions, text and numbers.
+    """
 
+    stated: Callable[..., Any]
+    judge: Callable[..., None]
+    given: tuple[Any, ...] = ()
 
-# What a finding is about: a property, or one aspect of it. The part of that name in
-# `scripts` shows it; the second has those of Mueller matrices.
-Kind, MatrixKind = kinds("Kind"), kinds("MatrixKind", "matrix ")
+    def of(self, *given: Any) -> Claim:
+        """The same of something, which follows what is given."""
+        return Claim(self.stated, self.judge, (*self.given, *given))
 
 
 class Function(Flag):
@@ -61,6 +69,7 @@ class Function(Flag):
 
 
 EVAL, SAMPLE, PDF, FLAGS = Function.EVAL, Function.SAMPLE, Function.PDF, Function.FLAGS
+EVAL_PDF = Function.EVAL_PDF
 
 
 class Mistake(Enum):

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..array_types import Floats
 from ..specimen.media import N_RINGED, ask_phase_function
+from .arrays import Sides, drawn, lit_from, rows, smooth, value
 from .checks import sampling
 from .checks.energy import ENERGY, Energy
 from .checks.reciprocity import RECIPROCITY, ratio_text
@@ -18,7 +19,8 @@ from .checks.sampling import SAMPLING
 from .checks.weights import WEIGHTS
 from .conditions import EFFORTS, Condition, Effort
 from .evidence import Evidence
-from .mistakes import EVAL, SAMPLE, Function, Kind, Mistake
+from .judgements import by_sample
+from .mistakes import EVAL, SAMPLE, Claim, Function, Mistake
 from .probe import Probe, numbers, vectors
 from .samples import Samples, beyond_rounding, unequal
 
@@ -43,6 +45,48 @@ ASKED = (
 
 # Those of maps, by effort.
 MAPPED = dict(zip(EFFORTS.values(), (ASKED[1:2], ASKED[:3], ASKED)))
+
+
+class Scatterer:
+    """A phase function that is asked as a BSDF, in coordinates of the world."""
+
+    def __init__(self, phase: mi.PhaseFunction) -> None:
+        self.phase = phase
+
+    def sample(self, ctx: Any, mei: Any, *u: Any) -> tuple[Any, Any]:
+        """Samples, whose types are not known, and their weights."""
+        bs, mei.sh_frame = dr.zeros(mi.BSDFSample3f), mi.Frame3f(mei.wi)
+        bs.wo, weight, bs.pdf = self.phase.sample(ctx, mei, *u)
+        return bs, weight
+
+    def eval_pdf(self, ctx: Any, mei: Any, *asked: Any) -> tuple[Any, Any]:
+        """Both answers."""
+        mei.sh_frame = mi.Frame3f(mei.wi)
+        return self.phase.eval_pdf(ctx, mei, *asked)
+
+    def eval(self, *asked: Any) -> Any:
+        """The first of them."""
+        return self.eval_pdf(*asked)[0]
+
+    def pdf(self, *asked: Any) -> Any:
+        """The second."""
+        return self.eval_pdf(*asked)[1]
+
+
+def symmetric(bsdf: Any, ctx: Any, si: Any, u: Any) -> Sides:
+    """Light goes both ways alike."""
+    bs, weight = drawn(bsdf, ctx, si, u)
+    back = value(bsdf, ctx, lit_from(si, bs.wo), si.wi)
+    return value(bsdf, ctx, si, bs.wo), back, smooth(bs, weight)
+
+
+def symmetric_flakes(bsdf: Any, ctx: Any, si: Any, u: Any) -> Sides:
+    """Light goes both ways alike, times the projected area of microflakes."""
+    bs, _ = drawn(bsdf, ctx, si, u)
+    ways = [(si, bs.wo), (lit_from(si, bs.wo), si.wi)]
+    areas = [rows(bsdf.phase.projected_area(at, mi.Bool(True))) for at, _ in ways]
+    there, back = (value(bsdf, ctx, *way) * x for way, x in zip(ways, areas))
+    return there, back, True
 
 
 def as_bsdf(phase: mi.PhaseFunction) -> mi.BSDF:
@@ -185,12 +229,13 @@ def check_symmetry(evidence: Evidence, samples: Samples) -> None:
     slack = samples.eval_slack * areas[0] + samples.reverse_slack * areas[1]
     wrong = unequal(there, back, slack) & usable
     if beyond_rounding(wrong):
-        guess, kind = OfVolumes.ASYMMETRIC(EVAL), Kind.SYMMETRY
+        guess, stated = OfVolumes.ASYMMETRIC(EVAL), symmetric
         if _is_of_microflakes(evidence.bsdf):
             guess = OfVolumes.PRODUCT_ASYMMETRIC(EVAL | Function.PROJECTED_AREA)
-            kind = Kind.SYMMETRY_OF_MICROFLAKES
+            stated = symmetric_flakes
         text = ratio_text(there, back, wrong, samples)
-        how = {"statistic": text, "off": None, "kind": kind}
+        shown = Claim(stated, by_sample)
+        how = {"statistic": text, "off": None, "shown": shown}
         evidence.breach(RECIPROCITY, guess, samples, wrong, **how)
 
 

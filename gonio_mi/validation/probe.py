@@ -126,9 +126,10 @@ class Probe:
         sample2: mi.Point2f,
         active: mi.Bool = True,
         wi: mi.Vector3f | None = None,
+        **at: Any,
     ) -> Sample:
         """Answer of ``sample``."""
-        answer = self._call("sample", sample1, sample2, active=active, wi=wi)
+        answer = self._call("sample", sample1, sample2, active=active, wi=wi, **at)
         n = self._width(wi, sample1, sample2, active)
         return checked_sample("sample", answer, n)
 
@@ -137,17 +138,21 @@ class Probe:
         wo: mi.Vector3f,
         active: mi.Bool = True,
         wi: mi.Vector3f | None = None,
-        ctx: mi.BSDFContext | None = None,
+        **at: Any,
     ) -> mi.Spectrum:
         """Answer of ``eval``."""
-        answer = self._call("eval", wo, active=active, wi=wi, ctx=ctx)
+        answer = self._call("eval", wo, active=active, wi=wi, **at)
         return checked_answer("eval", answer, self._width(wi, wo, active), mi.Spectrum)
 
     def pdf(
-        self, wo: mi.Vector3f, active: mi.Bool = True, wi: mi.Vector3f | None = None
+        self,
+        wo: mi.Vector3f,
+        active: mi.Bool = True,
+        wi: mi.Vector3f | None = None,
+        **at: Any,
     ) -> mi.Float:
         """Answer of ``pdf``."""
-        answer = self._call("pdf", wo, active=active, wi=wi)
+        answer = self._call("pdf", wo, active=active, wi=wi, **at)
         return checked_answer("pdf", answer, self._width(wi, wo, active), mi.Float)
 
     def values(self, wo: Floats, wi: Floats | None = None) -> Floats:
@@ -171,10 +176,10 @@ class Probe:
         return self._pair(("eval", "pdf"), answers, self._width(None, wo))
 
     def eval_pdf(
-        self, wo: mi.Vector3f, active: mi.Bool = True
+        self, wo: mi.Vector3f, active: mi.Bool = True, **at: Any
     ) -> tuple[mi.Spectrum, mi.Float]:
         """Both answers of ``eval_pdf``."""
-        answer = self._call("eval_pdf", wo, active=active)
+        answer = self._call("eval_pdf", wo, active=active, **at)
         parts = checked_parts("eval_pdf", answer, 2)
         return self._pair(("eval_pdf", "eval_pdf"), parts, dr.width(wo, active))
 
@@ -183,11 +188,11 @@ class Probe:
         return self._call(functions, wo)
 
     def eval_pdf_sample(
-        self, wo: mi.Vector3f, sample1: mi.Float, sample2: mi.Point2f
+        self, wo: mi.Vector3f, sample1: mi.Float, sample2: mi.Point2f, **at: Any
     ) -> tuple[mi.Spectrum, mi.Float, Sample]:
         """Value, density and sample that ``eval_pdf_sample`` returns."""
         name = "eval_pdf_sample"
-        answer = self._call(name, wo, sample1, sample2)
+        answer = self._call(name, wo, sample1, sample2, **at)
         value, pdf, *sample = checked_parts(name, answer, 4)
         n = dr.width(wo, sample1, sample2)
         sampled = checked_sample(name, tuple(sample), n)
@@ -223,24 +228,35 @@ class Probe:
         active: mi.Bool = True,
         wi: mi.Vector3f | None = None,
         ctx: mi.BSDFContext | None = None,
+        si: mi.SurfaceInteraction3f | None = None,
     ) -> Any:
         """Answer of a function before it is evaluated, from arguments in memory."""
-        n = self._width(wi, *arguments, active)
-        own, uv, nm, spots, every = self._inputs(n)
-        wi = own if wi is None else wi
-        if dr.width(wi) < n:
-            wi = wi + dr.zeros(mi.Vector3f, n)
+        n = self._width(wi if si is None else si.wi, *arguments, active)
+        *_, every = self._inputs(n)
+        if si is None:
+            si = self.interactions(n, wi)
         active = active if isinstance(active, mi.Bool) else every
-        dr.make_opaque(wi, active, arguments)
+        dr.make_opaque(active, arguments)
         # a plugin may change its copies in place: narrow its mask, or flip a direction
-        copies = [type(one)(one) for one in (*arguments, active)]
+        copies, answer = [type(one)(one) for one in (*arguments, active)], None
         with as_plugin_fault(function):
-            si, answer = self.interaction(wi, spots), None
-            si.uv, si.wavelengths = uv, nm
             for name in function.split():
                 method = getattr(self.bsdf, name)
                 answer = method(ctx or self.condition.context, si, *copies)
             return answer
+
+    def interactions(
+        self, n: int, wi: mi.Vector3f | None = None
+    ) -> mi.SurfaceInteraction3f:
+        """Points of `n` rays, in memory."""
+        own, uv, nm, spots, _ = self._inputs(n)
+        wi = own if wi is None else wi
+        if dr.width(wi) < n:
+            wi = wi + dr.zeros(mi.Vector3f, n)
+        dr.make_opaque(wi)
+        si = self.interaction(wi, spots)
+        si.uv, si.wavelengths = uv, nm
+        return si
 
     def _inputs(self, n: int) -> tuple[Any, ...]:
         """What `n` rays are asked with but for directions wo, in memory.
@@ -267,6 +283,68 @@ class Probe:
         """A value and a density, checked for their form."""
         value = checked_answer(names[0], answers[0], n, mi.Spectrum)
         return value, checked_answer(names[1], answers[1], n, mi.Float)
+
+
+class Shared:
+    """A BSDF as properties ask it: each call is made once, and its answer is kept.
+
+    Answers of a wrong form, and exceptions, are faults of the plugin as of a
+    :class:`Probe`.
+    """
+
+    def __init__(self, probe: Probe) -> None:
+        self._probe = probe
+        self._kept: dict[Any, Any] = {}
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._probe.bsdf, name)
+
+    def forget(self) -> None:
+        """Forget all answers, which are memory."""
+        self._kept.clear()
+
+    def sample(
+        self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True
+    ) -> Sample:
+        """As of BSDFs."""
+        return self._once("sample", ctx, si, active, sample1, sample2)
+
+    def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> mi.Spectrum:
+        """As of BSDFs."""
+        return self._once("eval", ctx, si, active, wo)
+
+    def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> mi.Float:
+        """As of BSDFs."""
+        return self._once("pdf", ctx, si, active, wo)
+
+    def eval_pdf(
+        self, ctx: Any, si: Any, wo: Any, active: Any = True
+    ) -> tuple[mi.Spectrum, mi.Float]:
+        """As of BSDFs."""
+        return self._once("eval_pdf", ctx, si, active, wo)
+
+    def eval_pdf_sample(
+        self, ctx: Any, si: Any, wo: Any, sample1: Any, sample2: Any
+    ) -> tuple[mi.Spectrum, mi.Float, mi.BSDFSample3f, mi.Spectrum]:
+        """As of BSDFs."""
+        name = "eval_pdf_sample"
+        *both, sample = self._once(name, ctx, si, True, wo, sample1, sample2)
+        return *both, *sample
+
+    def _once(self, name: str, ctx: Any, si: Any, active: Any, *given: Any) -> Any:
+        """Answer to a call, which is known by the variables of its arguments."""
+        dr.make_opaque(si.wi, given)
+        arguments = dr.detail.collect_indices((si, active, given))
+        key = name, ctx.mode, ctx.type_mask, ctx.component, *arguments
+        if key not in self._kept:
+            own = type(si)(si), *given  # nobody else gets these variables' numbers
+            how = {} if name == "eval_pdf_sample" else {"active": active}
+            ask = getattr(self._probe, name)
+            # a plugin may change these, too
+            context = mi.BSDFContext(ctx.mode, ctx.type_mask, ctx.component)
+            answer = ask(*own[1:], **how, si=type(si)(si), ctx=context)
+            self._kept[key] = answer, own, active
+        return self._kept[key][0]
 
 
 @contextlib.contextmanager

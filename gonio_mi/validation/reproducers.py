@@ -1,16 +1,18 @@
-"""Reproducers: what is wrong with a BSDF, in 20 lines of Mitsuba and NumPy.
+"""Reproducers: what is wrong with a BSDF, by Mitsuba and NumPy alone.
 
-The lines of a kind of finding, filled with the BSDF, the direction and the patch where
+The source of the property that fails, of the functions that it names and of its
+judgement, which a verdict calls too, with the BSDF, the direction and the patch where
 it was found. Each prints two numbers that should be equal, and how far apart they
 are: in standard errors, or, where chance takes no part, in roundings. Counts and bit
 masks must be equal.
 """
 
+import ast
+import inspect
 import os
 import re
 import textwrap
-from collections.abc import Mapping
-from enum import Enum
+from collections.abc import Iterator, Mapping
 from functools import cache
 from os import PathLike
 from typing import Any
@@ -23,9 +25,19 @@ from ..files import replacing
 from ..single_precision import BSDF_ROUNDING
 from ..specimen.specimen_text import with_real_indices
 from ..variants import unpolarised
-from .conditions import POSITION, TURN, WAVELENGTHS_NM, Condition, Sweep
+from .checks.first_element import first_element
+from .conditions import POSITION, TURN, Condition, Sweep
+from .densities import (
+    all_around,
+    by_lattices as lattices_of,
+    directions,
+    in_box,
+    lit_directions,
+)
+from .judgements import OF_CHANCE, most_apart
 from .maps import FourMaps
-from .mistakes import SCRIPTS, Kind, MatrixKind
+from .mistakes import Claim
+from .phase_functions import Scatterer
 from .probe import Probe
 from .verdict import Property, Verdict
 
@@ -62,47 +74,23 @@ TANGENTS = ("n", "dp_du", "dp_dv")
 BESIDE = {"sh_frame": ("sh_frame", *TANGENTS), "dp_du": TANGENTS, "uv": ()}
 OF_A_MEDIUM = ("time", "t", "p", "n")
 
-# What a mean over samples counts, and the density that it should follow: of directions,
-# of those where `eval` is not zero, and of weights.
-OF_SAMPLES = {"DRAWN": "np.array(smooth())", "DENSITY": "pdf(wo)"}
-OF_LIT_SAMPLES = {
-    "DRAWN": "(value(bs.wo) > 0).any(axis=0)",
-    "DENSITY": "pdf(wo) * (value(wo) > 0).any(axis=0)",
-}
-OF_WEIGHTS = {
-    "DRAWN": "np.where(smooth(), np.atleast_2d(weight).mean(axis=0), 0)",
-    "DENSITY": "value(wo).mean(axis=0)",
-}
+# What a script needs the source of, and how those parts begin that come last.
+OURS = "gonio_mi."
+LATER = ("def", "class")
 
-# What phase functions have instead.
-IN_A_MEDIUM = {
-    "bsdf": "phase",
-    "si": "mei",
-    "SPECTRUM": "phase.eval_pdf(ctx, mei, bs.wo, True)[0]",
-}
+# Characters of a line.
+WIDTH = 88
 
-# Answers of functions, of `eval` if no other, and of `sample` by what a finding is
-# about.
-ANSWERS = {
-    "eval": "bsdf.eval(ctx, si, wo, True)",
-    "pdf": "bsdf.pdf(ctx, si, wo, True)",
-    "eval_pdf": "bsdf.eval_pdf(ctx, si, wo, True)[0]",
-    "sample": "bsdf.sample(ctx, si, mi.Float(u[0]), mi.Point2f(u[1:]), True)[1]",
-}
-SAMPLED = {"weight": "weight", "pdf": "bs.pdf", "direction": "dr.abs(bs.wo)"}
-
-# Random numbers of a scalar variant, of one sample after the other.
-EACH = "zip(*(z.T.tolist() for z in x))"
-
-# What functions follow a change of a parameter, if not all.
-STALE = {"sample": ("bs.pdf", "pdf(bs.wo)"), "pdf": ("pdf(bs.wo)", "bs.pdf")}
-PRODUCT = ("np.atleast_2d(weight) * pdf(bs.wo)", "value(bs.wo)")
+IMPORTS = """import drjit as dr
+import mitsuba as mi
+import numpy as np
+"""
 
 
 def reproducer(verdict: Verdict, name: str | None = None) -> str:
     """Python script that shows one failure by calls of Mitsuba alone.
 
-    At most 20 lines of code, without an import of this package. The last line that it
+    At most 40 lines of code, without an import of this package. The last line that it
     prints has two numbers that should be equal, and how far apart they are: in standard
     errors, or in roundings of a thousand operations in single precision where chance
     takes no part; of counts and bit masks, whether they are equal. What
@@ -148,175 +136,101 @@ def save_reproducer(verdict: Verdict, path: str | PathLike[str]) -> None:
         stream.write(text.encode())
 
 
-def script(verdict: Verdict, one: Property) -> str:
-    """The script that shows a property that fails."""
-    kind = one.kind or Kind[one.name.upper()]
-    condition, part = _condition(one), kind.name
-    words = _words(verdict, one, kind)
-    if part in ("SAMPLING", "WEIGHTS"):
+def script(verdict: Verdict, one: Property, claim: Claim | None = None) -> str:
+    """The script that shows a property that fails, by another claim if there is one."""
+    condition, claim = _condition(one), claim or one.shown
+    if claim is None:
+        raise SettingError(f"no script shows {one.name}")
+    if claim.stated is in_box:
         maps, corners = _box(verdict, one.name) if not condition.fields else NO_BOX
         condition = maps.condition if maps else condition
-        part = "moments_apart" if corners == EVERYWHERE else part
-        rounded = [[[float(f"{x:.9g}")] for x in corner] for corner in corners]
-        words["CORNERS"] = str(rounded)
-        if kind is Kind.SAMPLING and maps and maps.due.unused.values.sum() > UNUSED:
-            words |= OF_LIT_SAMPLES
-    matrices = isinstance(kind, MatrixKind)
-    given = parts("matrix" if matrices else script_kind(one.of_volumes))
-    words = _place(verdict, one, condition) | words
-    words["COUNT"] = "2**20" if "standard errors" in given[part] else "2**16"
-    head = _setting(verdict, condition, given)
-    if part in ("ENDS", "LENGTH_AT_AN_END"):  # which draw their own samples
-        words["COUNT"] = "27"
-    else:
-        head += given["random"] + given["sample"]
-    if kind is MatrixKind.FIRST_ELEMENT:
+        of = claim.given
+        if of == (directions,) and maps and maps.due.unused.values.sum() > UNUSED:
+            of = (lit_directions,)
+        rounded = [[float(f"{x:.9g}") for x in corner] for corner in corners]
+        claim = Claim(in_box, claim.judge, (*of, *rounded))
+        if corners == EVERYWHERE:
+            claim = Claim(all_around, most_apart, of)
+    setting = _setting(verdict, condition, one.of_volumes, claim)
+    call = f"{claim.stated.__name__}(bsdf, ctx, si, u{_given(claim)})"
+    if claim.stated is first_element:
         both = mi.variant(), unpolarised(mi.variant())
-        head = _filled(head + given["first element"], words | {"VARIANT": "variant"})
-        head = f"values = []\nfor variant in {both}:\n{textwrap.indent(head, '    ')}"
-    return composed(given, given["title"] + given["imports"] + head, part, words)
+        setting = setting.replace(f'"{verdict.settings["variant"]}"', "variant")
+        setting = textwrap.indent(f"{setting}values.append({call})\n", "    ")
+        setting = f"values = []\nfor variant in {both}:\n{setting}"
+        call = "values, values[0] > 0"
+    needed = [claim.judge, *filter(callable, claim.given), claim.stated]
+    needed = [Scatterer, *needed] if one.of_volumes else needed
+    title = f"{verdict.name}: {one.mistake or verdict.mistake or one.question}"
+    return (
+        f"# {title} ({condition})\n"
+        f"# Two numbers that should be equal where {one.question or 'it is right'}.\n"
+        f"# A rounding is {BSDF_ROUNDING:.2g}: 1024 operations in single precision.\n"
+        f"{IMPORTS}\n\n{sources(*needed)}\n\n\n{setting}"
+        f"{claim.judge.__name__}(*{call})\n"
+    )
 
 
 def by_lattices(verdict: Verdict, one: Property) -> str:
     """The same of the total of samples or weights, by lattices of directions."""
-    given, condition = parts(script_kind(one.of_volumes)), _condition(one)
-    words = _place(verdict, one, condition) | {"COUNT": "2**16"}
-    words |= _words(verdict, one, Kind[one.name.upper()])
-    head = given["title"] + given["imports"] + _setting(verdict, condition, given)
-    return composed(given, head, "lattices", words)
+    of = one.shown.given if one.shown else ()
+    return script(verdict, one, Claim(lattices_of, most_apart, of))
 
 
-def in_two_variants(variant: str, source: str, of_volumes: bool) -> str:
-    """Script that compares a scalar variant with LLVM's."""
-    given = dict(parts(script_kind(of_volumes)))
-    if mi.is_spectral:
-        colours = textwrap.indent(given["wavelengths"], "    ")
-        given["variants"] = re.sub(r"(?=    value =)", colours, given["variants"])
-    llvm = variant.replace("scalar", "llvm_ad")
-    words = {
-        "VARIANTS": f"({llvm!r}, [x], 0), ({variant!r}, {EACH}, None)",
-        "AXES": "mei.wi" if of_volumes else "[0, 0, 1]",
-        "SOURCE": source,
-        "NM": str(list(WAVELENGTHS_NM)),
-        "ROUNDING": f"{BSDF_ROUNDING:.2g}",
-    }
-    words |= IN_A_MEDIUM if of_volumes else {}
-    return given["imports"] + _filled(given["variants"], words)
-
-
-def script_kind(of_volumes: bool) -> str:
-    """Which parts of scripts there are: ``medium``, ``polarised`` or ``surface``."""
-    return "medium" if of_volumes else "polarised" if mi.is_polarized else "surface"
+def _given(claim: Claim) -> str:
+    """Arguments of a property, after the usual ones."""
+    words = [x.__name__ if callable(x) else repr(x) for x in claim.given]
+    return "".join(f", {word}" for word in words)
 
 
 @cache
-def parts(own: str) -> dict[str, str]:
-    """Lines of the parts of scripts by name, each followed by those that it asks for.
+def sources(*needed: Any) -> str:
+    """Source of functions and classes, and of what they name, without annotations."""
+    found: dict[Any, str] = {}
 
-    Parts whose name begins with `own` stand for those without, also inside of others.
-    """
-    lines, followed = {}, {}
-    for path in sorted(SCRIPTS.glob("*.py")):
-        text = path.read_text(encoding="utf-8")
-        _, *found = re.split(r"^# %% (.*)\n", text, flags=re.MULTILINE)
-        for heading, body in zip(found[::2], found[1::2]):
-            name, _, others = heading.partition(":")
-            lines[name], followed[name] = body.strip("\n") + "\n", others.split()
-    for name in [one for one in lines if one.startswith(f"{own} ")]:
-        usual = name.removeprefix(f"{own} ")
-        if usual in lines:
-            rows = map(re.escape, lines[usual].splitlines(keepends=True))
-            margin = re.compile(r"^( *)" + r"\1".join(rows), re.MULTILINE)
-            instead = textwrap.indent(lines[name], r"\1")
-            for other in [one for one in lines if not one.startswith(f"{own} ")]:
-                lines[other] = margin.sub(instead, lines[other])
-        lines[usual], followed[usual] = lines[name], followed[name]
-    return {
-        name: body + "".join(lines[other] for other in followed[name])
-        for name, body in lines.items()
-    }
+    def add(one: Any) -> None:
+        if one in found:
+            return
+        found[one] = source = _without_annotations(inspect.getsource(one))
+        nodes, known = ast.walk(ast.parse(source)), vars(inspect.getmodule(one))
+        for name in [x.id for x in nodes if isinstance(x, ast.Name)]:
+            other = known.get(name)
+            if str(getattr(other, "__module__", "")).startswith(OURS):
+                add(other)
+            elif isinstance(other, float):
+                found[name] = f"{name} = {other!r}"
+        del found[one]  # what it names comes before
+        found[one] = source
+
+    for one in needed:
+        add(one)
+    return "\n\n\n".join(sorted(found.values(), key=lambda x: x.startswith(LATER)))
 
 
-def composed(
-    given: Mapping[str, str], head: str, part: str, words: Mapping[str, str]
-) -> str:
-    """Script of a head, the definitions that a part uses, and this, with all words."""
-    body = _filled(given[part], words)
-    for name, lines in reversed(list(given.items())):
-        defined, _, function = name.removeprefix("define ").partition(" of ")
-        if not name.startswith("define ") or function not in ("", words["GUILTY"]):
+def _without_annotations(source: str) -> str:
+    """Source of a function or class without the types of arguments and answers."""
+    lines = source.rstrip().splitlines()
+    heads, cuts = [], []
+    for node in ast.walk(ast.parse(source)):
+        if not isinstance(node, ast.FunctionDef):
             continue
-        if re.search(rf"(?m)^[^#]*(?<![.\w]){defined}\b(?! =)", body):
-            body = _filled(lines, words) + body
-    return _filled(head, words) + body
-
-
-def _filled(lines: str, words: Mapping[str, str]) -> str:
-    """Lines with words in capitals, and some names, replaced."""
-    return re.sub(
-        r"(\b\w+ = (?=SOURCE))?\b([A-Z][A-Z_]+|bsdf|si)\b",
-        lambda found: words.get(found[2], found[0]),
-        lines,
-    )
-
-
-def _words(verdict: Verdict, one: Property, kind: Enum) -> dict[str, str]:
-    """Text that replaces words in capitals, for what a finding is about."""
-    guess = one.guess or verdict.guess
-    guilty = guess.functions.names[0] if guess else one.function or "eval"
-    guilty = one.about if kind is Kind.UPDATE else guilty
-    guilty = guilty if guilty in ANSWERS else "eval"
-    about, samples, answer = one.about, guilty == "sample", ANSWERS[guilty]
-    quantity = SAMPLED.get(about, "weight") if samples else "answer(wo)"
-    if kind is Kind.LENGTH_AT_AN_END:
-        quantity = "1e-3 - dr.select(lit(), abs(dr.norm(bs.wo) - 1), 0)"
-    stale, expected = STALE.get(guilty, PRODUCT)
-    excluded = "(bs.sampled_type & int(bsdf.flags(i)) & 0x7E) != 0"
-    own = f'params["{about}"]'
-    to = guess.fields.get("to") if guess else None
-    changed = f"dr.select({own} == 0, 0.5, {own} / 2)"
-    words = {
-        "OTHER": f"type({own})({to})" if to else changed,
-        "GUILTY": guilty,
-        "ABOUT": about,
-        "NORMAL": about or "[0, 0, 1]",
-        "STALE": stale,
-        "EXPECTED": expected,
-        "INDEX": str(int(about == "pdf")),
-        "EITHER": "pdf" if about == "pdf" else "value",
-        "TURNED": answer.replace("[1]", "[0].wo") if samples else "answer(bs.wo)",
-        "EXCLUDED": excluded if samples else "bsdf.component_count() == 1",
-        "FLUX": "weight * bs.pdf" if samples else answer.replace("wo,", "bs.wo,"),
-        "QUANTITY": quantity,
-        "SPECTRUM": answer.replace("wo,", "bs.wo,"),
-        "ANSWER": answer,
-    }
-    words |= OF_WEIGHTS if one.name == "weights" else OF_SAMPLES
-    if one.of_volumes:
-        words = {name: _filled(text, IN_A_MEDIUM) for name, text in words.items()}
-        words |= IN_A_MEDIUM
-    return words
-
-
-def _place(verdict: Verdict, one: Property, condition: Condition) -> dict[str, str]:
-    """Text that replaces words in capitals, for where a finding is."""
-    textured = _is_textured(verdict)
-    axes = TURN.T.round(7).tolist() if condition.turned and textured else [[0, 0, 1]]
-    return {
-        "TITLE": f"{verdict.name}: {one.mistake or verdict.mistake or one.question}",
-        "CONDITION": str(condition),
-        "QUESTION": one.question or "it is right",
-        "ROUNDING": f"{BSDF_ROUNDING:.2g}",
-        "VARIANT": f'"{verdict.settings["variant"]}"',
-        "SOURCE": str(verdict.source),
-        "MODE": condition.mode.capitalize(),
-        "COMPONENT": str(condition.component),
-        "WI": str([float(f"{x:.8g}") for x in condition.wi]),
-        "AXES": ", ".join(map(str, axes)),
-        "UV": "{}, {}".format(*condition.uv),
-        "POSITION": str(POSITION.tolist() if condition.turned else [0, 0, 0]),
-        "NM": str(list(condition.nm)),
-    }
+        heads.append((node.lineno - 1, node.body[0].lineno - 1))
+        for x in (*node.args.args, node.args.vararg):
+            if x is not None and x.annotation is not None:
+                begin, end = x.col_offset + len(x.arg), x.annotation.end_col_offset
+                cuts.append((x.lineno, begin, end))
+        if (types := node.returns) is not None:
+            begin = lines[types.lineno - 1].rindex(")", 0, types.col_offset) + 1
+            cuts.append((types.lineno, begin, types.end_col_offset))
+    for line, begin, end in sorted(cuts, reverse=True):
+        after = re.sub("^ = ", "=", lines[line - 1][end:])
+        lines[line - 1] = lines[line - 1][:begin] + after
+    for first, last in sorted(heads, reverse=True):
+        head = " ".join(x.strip() for x in lines[first + 1 : last])
+        joined = re.sub(r",? ?\)", ")", lines[first] + head)
+        if len(joined) <= WIDTH:
+            lines[first:last] = [joined]
+    return "\n".join(lines)
 
 
 def _condition(one: Property) -> Condition:
@@ -325,33 +239,59 @@ def _condition(one: Property) -> Condition:
     return ANYWHERE if found is None or isinstance(found, Sweep) else found
 
 
-def _setting(verdict: Verdict, condition: Condition, given: Mapping[str, str]) -> str:
-    """Lines of a script from the variant to the surface interaction."""
+def _setting(
+    verdict: Verdict, condition: Condition, of_volumes: bool, claim: Claim
+) -> str:
+    """Lines of a script from the variant to what a property takes."""
     textured = _is_textured(verdict) or "uv" in condition.fields
-    textured &= "phase" not in given["interaction"]
-    used = {
-        "component": condition.component is not None,
-        "texture": textured,
-        "position": textured and condition.turned,
-        "differentials": condition.differentials,
-        "wavelengths": mi.is_spectral,
-    }
-    names = ["variant", "interaction", *(k for k, on in used.items() if on)]
-    return "".join(map(given.__getitem__, names)) + _fields(condition, given)
+    textured &= not of_volumes
+    axes = TURN.T.round(7).tolist() if condition.turned and textured else [[0, 0, 1]]
+    kind = "PhaseFunction" if of_volumes else "BSDF"
+    chance = claim.judge in OF_CHANCE and claim.stated is not lattices_of
+    count = "2**20" if chance else "2**16"
+    mode = f"mi.TransportMode.{condition.mode.capitalize()}"
+    given = f"None, {mode}" if of_volumes else mode
+    kinds = "Medium" if of_volumes else "Surface"
+    lines = [
+        f'mi.set_variant("{verdict.settings["variant"]}")',
+        str(verdict.source),
+        *(["bsdf = Scatterer(phase)"] if of_volumes else []),
+        f"ctx, n = mi.{kind}Context({given}), {count}",
+        "u = mi.Point3f(np.random.default_rng(0).random((3, n), dtype=np.float32))",
+        f"si = dr.zeros(mi.{kinds}Interaction3f, n)",
+    ]
+    wi = f"mi.Vector3f({', '.join(map(str, condition.wi.round(8).tolist()))}) + 0 * u"
+    if of_volumes:
+        lines.append(f"si.wi = {wi}")
+    else:
+        frame = f"mi.Frame3f({', '.join(map(str, axes))})"
+        lines.append(f"si.wi, si.sh_frame = {wi}, {frame}")
+    if condition.component is not None:
+        lines.append(f"ctx.component = {condition.component}")
+    if textured:
+        uv = "{}, {}".format(*condition.uv)
+        beside = "2 * si.sh_frame.s, 2 * si.sh_frame.t"
+        lines.append(f"si.uv, si.dp_du, si.dp_dv = mi.Point2f({uv}), {beside}")
+    if (textured or of_volumes) and condition.turned:
+        lines.append(f"si.p = mi.Point3f({POSITION.tolist()})")
+    if condition.differentials:
+        lines.append("si.duv_dx, si.duv_dy = [0.3, 0.1], [-0.1, 0.2]")
+    if mi.is_spectral:
+        lines.append(f"si.wavelengths = mi.UnpolarizedSpectrum({list(condition.nm)})")
+    return "\n".join([*lines, *_fields(condition, of_volumes)]) + "\n"
 
 
-def _fields(condition: Condition, given: Mapping[str, str]) -> str:
+def _fields(condition: Condition, of_volumes: bool) -> Iterator[str]:
     """Lines of a script that set fields of the surface interaction."""
-    si, lines = Probe(None, condition).interaction(), ""
+    si = Probe(None, condition).interaction()
     names = [x for name in condition.fields for x in BESIDE.get(name, (name,))]
-    if "phase" in given["interaction"]:
+    if of_volumes:
         names = [name for name in names if name in OF_A_MEDIUM]
     for name in dict.fromkeys(names):
         value = getattr(si, name)
         parts = (value.s, value.t, value.n) if name == "sh_frame" else (value,)
         text = ", ".join(str(np.array(x).ravel().round(6).tolist()) for x in parts)
-        lines += _filled(given["field"], {"FIELD": name, "NUMBERS": text})
-    return lines
+        yield f"si.{name} = type(si.{name})({text})"
 
 
 def _is_textured(verdict: Verdict) -> bool:

@@ -13,9 +13,11 @@ import numpy as np
 from ..array_types import Flags, Floats, Integers, Numbers
 from ..mitsuba_compat import floats
 from ..single_precision import BSDF_ROUNDING
+from .arrays import Sides, drawn, lit_from, opposite
 from .conditions import Condition
 from .probe import (
     Probe,
+    Shared,
     is_delta,
     numbers,
     random_numbers,
@@ -143,6 +145,18 @@ class Samples:
     reverse: Any = None
     reverse_slack: Any = None
     reverse_other_mode: Any = None
+    asked: tuple[Any, ...] = ()
+
+    def hold(
+        self, stated: Callable[..., Sides], *given: Any
+    ) -> tuple[Floats, Floats, Flags]:
+        """What should be equal by a property, and which samples count.
+
+        Numbers have the shape ``(n, channels)``.
+        """
+        a, b, counts = stated(*self.asked, *given)
+        a, b = np.broadcast_arrays(a, b, np.empty((1, self.n)))[:2]
+        return a.T, b.T, np.broadcast_to(counts, self.n)
 
     @property
     def n(self) -> int:
@@ -195,9 +209,9 @@ class Samples:
         kept = {
             name: value[mask]
             for name, value in vars(self).items()
-            if name not in ("condition", "joint") and value is not None
+            if name not in ("condition", "joint", "asked") and value is not None
         }
-        return replace(self, joint={}, **kept)
+        return replace(self, joint={}, asked=(), **kept)
 
     @property
     def random(self) -> tuple[mi.Float, mi.Point2f]:
@@ -229,9 +243,11 @@ def samples_of(
     """
     probe = Probe(bsdf, condition)
     sample1, sample2 = uniform(n, key)
-    bs, weight = probe.sample(sample1, sample2)
-    wo = mi.Vector3f(bs.wo)
-    value, pdf = probe.eval(wo), probe.pdf(wo)
+    u, si = mi.Point3f(sample1, sample2.x, sample2.y), probe.interactions(n)
+    asked = plugin, ctx, _, _ = Shared(probe), condition.context, si, u
+    bs, weight = drawn(*asked)
+    wo = bs.wo
+    value, pdf = plugin.eval(ctx, si, wo), plugin.pdf(ctx, si, wo)
     alone = Samples(
         condition=condition,
         wo=spectral(wo, n),
@@ -243,17 +259,14 @@ def samples_of(
         u=np.column_stack([numbers(sample1, n), spectral(sample2, n)]),
         eval=spectral(value, n),
         pdf=numbers(pdf, n).astype(float),
+        asked=asked,
     )
     if not compared:
         return alone
-    joint = _joint(probe, wo, sample1, sample2)
-    other = probe.condition.context
-    other.reverse()
-    other_mode = probe.eval(wo, ctx=other)
-    wi = mi.Vector3f(probe.wi) + dr.zeros(mi.Vector3f, n)
-    dr.make_opaque(wi)
-    reverse = probe.eval(wi, wi=wo)
-    reverse_other_mode = probe.eval(wi, wi=wo, ctx=other)
+    joint = _joint(plugin, ctx, si, wo, u)
+    other, back, wi = opposite(ctx), lit_from(si, wo), si.wi
+    other_mode = plugin.eval(other, si, wo)
+    reverse, reverse_other_mode = (plugin.eval(x, back, wi) for x in (ctx, other))
     eval_slack, pdf_slack, reverse_slack = _changes(
         (*_displaced(wi, wo, key), *_tilted(wi, wo)),
         (lambda wi, wo: probe.eval(wo, wi=wi), value),
@@ -286,13 +299,12 @@ def _no_less(slack: Numbers, value: Numbers) -> Floats:
     return np.maximum(slack, half * np.where(np.isfinite(size), size, 0.0))
 
 
-def _joint(
-    probe: Probe, wo: mi.Vector3f, sample1: mi.Float, sample2: mi.Point2f
-) -> dict[str, Any]:
+def _joint(plugin: Shared, ctx: Any, si: Any, wo: Any, u: Any) -> dict[str, Any]:
     """Answers of ``eval_pdf`` and ``eval_pdf_sample``, and the latter's samples."""
     n = dr.width(wo)
-    answers: dict[str, Any] = {"eval_pdf": probe.eval_pdf(wo)}
-    *both, (bs, weight) = probe.eval_pdf_sample(wo, sample1, sample2)
+    answers: dict[str, Any] = {"eval_pdf": plugin.eval_pdf(ctx, si, wo)}
+    random = u.x, mi.Point2f(u.y, u.z)
+    *both, bs, weight = plugin.eval_pdf_sample(ctx, si, wo, *random)
     answers["eval_pdf_sample"] = both
     return {
         name: (spectral(value, n), numbers(pdf, n).astype(float))

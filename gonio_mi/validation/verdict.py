@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
-from enum import Enum
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from ..annexes import ask
 from .conditions import Condition
 from .evidence import BIAS, BREAKS, COST, EFFECTS, NOISE, Evidence, Question, Test
 from .maps import FourMaps
-from .mistakes import Guess
+from .mistakes import Claim, Guess
 
 # Places of a failure that are kept.
 MAX_PLACES = 10
@@ -73,9 +72,8 @@ class Property:
         What the property is.
     condition : Condition or None
         Where its worst finding is; None without, or of one over all conditions.
-    kind : Kind or MatrixKind
-    about : str
-        Of its worst finding, which its reproducer shows.
+    shown : Claim or None
+        Of its worst finding, by which its reproducer shows it.
     of_volumes : bool
         Whether it is one of a phase function.
     needed : bool
@@ -101,8 +99,7 @@ class Property:
     minor: bool = False
     question: str = ""
     condition: Condition | None = field(default=None, repr=False)
-    kind: Enum | None = field(default=None, repr=False)
-    about: str = field(default="", repr=False)
+    shown: Claim | None = field(default=None, repr=False)
     of_volumes: bool = False
     needed: bool = field(default=False, repr=False)
     integrators: str = field(default="", repr=False)
@@ -382,8 +379,7 @@ def _property(
             share=max((x for x in shares if x is not None), default=None),
             minor=all(one.minor for one in worst_ones),
             condition=shown.condition,
-            kind=shown.kind,
-            about=shown.about,
+            shown=shown.shown,
             guess=guess,
             conditions=(shown.condition, *(b.condition for b in breaches)),
         )

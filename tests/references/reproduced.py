@@ -9,9 +9,14 @@ import re
 BEYOND = {"standard errors": 7.0, "roundings": 4.0}
 
 
+# How lines begin that say what the code does, or are no part of it.
+WORDS = ("#", "import ", '"""')
+
+
 def code_of(text):
+    """Lines of code, without words."""
     lines = (line for line in text.splitlines() if line.strip())
-    return [line for line in lines if not line.startswith(("#", "import "))]
+    return [line for line in lines if not line.strip().startswith(WORDS)]
 
 
 def told(text):
@@ -25,3 +30,8 @@ def told(text):
     found = re.search(r": (\S+) (standard errors|roundings)\s*$", said.getvalue())
     size, unit = found.groups()
     return float(size) / BEYOND[unit]
+
+
+def is_short(text):
+    """At most 40 lines of code, and 13 more by which a phase function is asked."""
+    return len(code_of(text)) <= (53 if "class Scatterer" in text else 40)

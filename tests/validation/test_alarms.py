@@ -70,6 +70,26 @@ def test_heavy_weights_are_no_fault(name):
     assert not alarms(name, {"type": "heavy", "case": name})
 
 
+class Heavier:
+    """What properties ask, with weights times a factor, and densities over another."""
+
+    def __init__(self, samples, factor, density=1.0):
+        self.bsdf, *rest = samples.asked
+        self.factor, self.density = factor, density
+        samples.asked = self, *rest
+        samples.weight = samples.weight * np.reshape(factor, (-1, 1))
+        samples.sampled_pdf = samples.sampled_pdf / density
+
+    def __getattr__(self, name):
+        return getattr(self.bsdf, name)
+
+    def sample(self, *asked):
+        bs, weight = self.bsdf.sample(*asked)
+        bs = mi.BSDFSample3f(bs)
+        bs.pdf = bs.pdf / self.density
+        return bs, weight * mi.Float(self.factor)
+
+
 @pytest.mark.parametrize(
     ("name", "component"),
     [("ggx 0.01, all normals", None), ("rough glass of index 1.0001", 0)],
@@ -80,8 +100,7 @@ def test_rounding_is_no_fault(name, component, off):
     bsdf = mi.load_dict(right_bsdfs.RIGHT[name])
     condition = Condition(50.0, 25.0, component=component)
     samples = samples_of(bsdf, condition, 2**14, (0, 1))
-    samples.weight = samples.weight * off
-    samples.sampled_pdf = samples.sampled_pdf / off
+    Heavier(samples, off, off)
     evidence = Evidence(bsdf)
     for check in (sampled_pdf, sampled_weight):
         check.check_samples(evidence, samples)
@@ -98,7 +117,7 @@ def test_steps_that_displacements_miss_are_no_fault(wrong):
     bsdf = mi.load_dict(right_bsdfs.RIGHT["rough glass of index 1.0001"])
     samples = samples_of(bsdf, Condition(20.0, 25.0, component=0), 2**16, (0, 5))
     off = np.where(np.cumsum(samples.usable) <= wrong, 1.02, 1.0)
-    samples.weight = samples.weight * off[:, None]
+    Heavier(samples, off)
     evidence = Evidence(bsdf)
     sampled_weight.check_samples(evidence, samples)
     assert bool(evidence.breaches) == bool(wrong)

@@ -6,7 +6,7 @@ import broken_phase_functions
 import mitsuba as mi
 import numpy as np
 import pytest
-from reproduced import code_of, told
+from reproduced import is_short, told
 
 from gonio_mi.cli import main
 from gonio_mi.errors import SpecimenError
@@ -100,7 +100,7 @@ def test_mistake_is_seen_and_its_function_named(name):
 def test_finding_is_shown_by_its_script(name, finding):
     text = reproducer(judged(name), finding)
     assert "phase = mi.load_dict" in text
-    assert len(code_of(text)) <= 20, text
+    assert is_short(text), text
     assert told(text) > 1, text
 
 

@@ -1,7 +1,10 @@
 # ruff: noqa: ARG002 (every method has Mitsuba's signature)
 """Reproducers: those of the handbook still show each defect, those of findings do."""
 
-import re
+import ast
+import builtins
+import importlib
+import inspect
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,9 +16,9 @@ import plain_bsdf
 import polarised_bsdfs
 import pytest
 from broken_bsdfs import judged
-from reproduced import code_of, told
+from reproduced import code_of, is_short, told
 
-from gonio_mi import cli
+from gonio_mi import cli, validation
 from gonio_mi.errors import SettingError
 from gonio_mi.single_precision import BSDF_ROUNDING
 from gonio_mi.validation import (
@@ -26,10 +29,16 @@ from gonio_mi.validation import (
     save_report,
     validate,
 )
+from gonio_mi.validation.arrays import of_eval, of_pdf
 from gonio_mi.validation.checks.frames import JUMP
-from gonio_mi.validation.mistakes import SCRIPTS, Kind, MatrixKind
+from gonio_mi.validation.checks.sampled_pdf import sampled_pdf
+from gonio_mi.validation.densities import directions
+from gonio_mi.validation.judgements import apart
+from gonio_mi.validation.mistakes import Claim
+from gonio_mi.validation.questions import OF_SURFACES
 from gonio_mi.validation.reproducers import script
 
+ROOT = Path(validation.__file__).parents[2]
 HANDBOOK = sorted(Path(__file__).parents[2].glob("notebooks/reproducers/*.py"))
 
 
@@ -146,7 +155,7 @@ def test_each_property_has_a_broken_plugin_and_a_right_one():
 def test_finding_is_shown_by_its_script(shown):
     name, _, _ = shown.partition(" ")
     text = reproducer(judged(SHOWN[shown], "quick"), name)
-    assert len(code_of(text)) <= 20, text
+    assert is_short(text), text
     assert told(text) > 1, text
 
 
@@ -181,7 +190,7 @@ def test_finding_of_matrices_is_shown_by_its_script(name):
     findings, right = SHOWN_MATRICES[name]
     for finding in findings:
         text = reproducer(verdict, finding)
-        assert len(code_of(text)) <= 20, text
+        assert is_short(text), text
         assert told(text) > 1, text
         assert told(text.replace(f'"{name}"', f'"{right}"')) < 1, text
 
@@ -319,31 +328,82 @@ def show_worst(wrong, right):
     """The script of the worst failure shows it, and says so of a right plugin."""
     register_pairs()
     text = reproducer(validate({"type": wrong}, effort="quick"))
-    assert len(code_of(text)) <= 20, text
+    assert is_short(text), text
     assert told(text) > 1, text
     assert told(text.replace(f'"{wrong}"', f'"{right}"')) < 1, text
 
 
-def test_every_property_and_every_finding_has_a_part():
-    """Without one, the lines of another kind would show it."""
-    assert {*map(str.upper, PROPERTIES)} - {"COST"} <= Kind.__members__.keys()
-    members = {"Kind": Kind.__members__, "MatrixKind": MatrixKind.__members__}
-    for path in SCRIPTS.parent.rglob("*.py"):
-        named = re.findall(r"\b(Kind|MatrixKind)\.([A-Z]\w+)", path.read_text("utf-8"))
-        assert all(name in members[of] for of, name in named), path.name
+def test_every_property_is_shown_by_a_function():
+    assert all(one.shown for one in OF_SURFACES if one.name != "cost")
 
 
-@pytest.mark.parametrize("kind", [*Kind, *MatrixKind], ids=str)
-def test_every_kind_has_a_short_script(kind):
-    """Of a plugin of which nothing is known; no word of the template is left."""
-    name = kind.name.lower() if kind.name.lower() in PROPERTIES else "answers"
-    found = Property(name, "fails", "", function="sample", kind=kind, about="weight")
+# What properties are given besides.
+GIVEN = {
+    "what": of_eval,
+    "part": 1,
+    "alone": of_pdf,
+    "of": directions,
+    "low": [0.0, 0.0],
+    "high": [1.0, 0.5],
+    "due": 1,
+    "function": "pdf",
+    "i": 0,
+    "n": 300,
+    "name": "alpha",
+    "to": None,
+    "stated": sampled_pdf,
+    "normal": [0.0, 0.0, 1.0],
+}
+
+
+def stated_functions():
+    """All functions of the package that state a property."""
+    found = {}
+    for path in Path(validation.__file__).parent.rglob("*.py"):
+        name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+        if "commands" in name or "worker" in name or "pytest" in name:
+            continue
+        for one in vars(importlib.import_module(name)).values():
+            if not inspect.isfunction(one) or one.__module__ != name:
+                continue
+            given = [*inspect.signature(one).parameters]
+            if given[:3] == ["bsdf", "ctx", "si"] and given[3] in ("u", "_"):
+                found[f"{path.stem}.{one.__name__}"] = one, given[4:]
+    return found
+
+
+STATED = stated_functions()
+
+
+def test_there_are_as_many_properties():
+    assert len(STATED) > 50
+
+
+@pytest.mark.parametrize("name", STATED)
+@pytest.mark.parametrize("of_volumes", [False, True])
+def test_every_property_has_a_short_script(name, of_volumes):
+    """Of a plugin of which nothing is known; it names nothing that is not there."""
+    stated, names = STATED[name]
+    given = tuple(GIVEN[one] for one in names if one in GIVEN)
+    claim = Claim(stated, apart, given)
+    found = Property("answers", "fails", "", shown=claim, of_volumes=of_volumes)
     settings = {"variant": mi.variant()}
-    source = 'bsdf = mi.load_dict({"type": "own"})'
+    word = "phase" if of_volumes else "bsdf"
+    source = f'{word} = mi.load_dict({{"type": "own"}})'
     text = script(Verdict("own", (), None, None, settings, source=source), found)
-    compile(text, "reproducer.py", "exec")
-    assert len(code_of(text)) <= 20
-    assert not re.findall(r"\b[A-Z]{3,}\b", text)
+    assert is_short(text)
+    assert ": Any" not in text
+    known = {*vars(builtins), "dr", "mi", "np", "__name__"}
+    tree = ast.parse(text)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.arg):
+            known.add(node.arg)
+        elif isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            known.add(node.name)
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            known.add(node.id)
+    named = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
+    assert named <= known
 
 
 @pytest.mark.usefixtures("plugins")

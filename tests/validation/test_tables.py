@@ -47,7 +47,17 @@ def test_table_with_a_density_of_another_incidence_is_caught(table):
     samples, evidence = samples_of(bsdf, condition, 2**12, (0, 1)), Evidence(bsdf)
     sampled_pdf.check_samples(evidence, samples)
     assert not evidence.breaches
-    samples.pdf = Probe(bsdf, replace(condition, theta_i=41.0)).densities(samples.wo)
+    plugin, ctx, si, u = samples.asked
+    other = Probe(bsdf, replace(condition, theta_i=41.0)).interactions(samples.n)
+
+    class OfAnotherIncidence:
+        def sample(self, *asked):
+            return plugin.sample(*asked)
+
+        def pdf(self, ctx, si, *asked):  # noqa: ARG002
+            return plugin.pdf(ctx, other, *asked)
+
+    samples.asked = OfAnotherIncidence(), ctx, si, u
     sampled_pdf.check_samples(evidence, samples)
     assert evidence.of("sampled_pdf")
 

@@ -1,16 +1,33 @@
 """Radiance and importance mode are adjoint to each other."""
 
 from dataclasses import replace
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
 from ...array_types import Flags
+from ..arrays import Sides, drawn, lit, opposite, rows
 from ..evidence import BIAS, BREAKS, FROM_LIGHTS, Evidence, Question
-from ..mistakes import EVAL, SAMPLE, Guess, Kind, Mistake
+from ..judgements import by_sample
+from ..mistakes import EVAL, SAMPLE, Claim, Guess, Mistake
 from ..samples import beyond_rounding, samples_of, unequal
 from .delta import Lobe
-from .reciprocity import BothWays, is_constant, ratio_text
+from .reciprocity import BothWays, exchanged, is_constant, ratio_text
+
+
+def both_modes(bsdf: Any, ctx: Any, si: Any, u: Any) -> Sides:
+    """The other transport mode has the same light on the way back."""
+    return exchanged(bsdf, ctx, si, u, opposite(ctx))
+
+
+def lobe_in_both_modes(bsdf: Any, ctx: Any, si: Any, u: Any) -> Sides:
+    """Weights of a discrete lobe are those of the other mode, with eta^2."""
+    _, weight = drawn(bsdf, ctx, si, u)
+    other, radiance = drawn(bsdf, opposite(ctx), si, u)
+    eta = np.where(rows(other.wo.z * si.wi.z) < 0, rows(other.eta), 1)
+    return rows(weight), rows(radiance) * eta**2, lit(weight)
+
 
 ADJOINT = Question(
     "adjoint",
@@ -20,6 +37,7 @@ ADJOINT = Question(
     {BREAKS: FROM_LIGHTS, BIAS: "path and all that trace rays from the sensor"},
     matrices="radiance and importance mode are adjoint, in all elements",
     rank=2,
+    shown=Claim(both_modes, by_sample),
 )
 
 
@@ -131,5 +149,6 @@ def check_lobe(
             mistake = Adjoint.ETA_UPSIDE_DOWN
         guess, at = mistake(SAMPLE, ratio=ratio), samples.condition
         text = f"radiance over importance is {ratio:.4g} where 1/eta^2 = {due:.4g}"
-        how = {"effect": BIAS if returns else BREAKS, "kind": Kind.ADJOINT_OF_A_LOBE}
+        shown = Claim(lobe_in_both_modes, by_sample)
+        how = {"effect": BIAS if returns else BREAKS, "shown": shown}
         evidence.breach(ADJOINT, guess, at, found=text, **how)

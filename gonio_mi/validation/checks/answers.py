@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import replace
-from enum import Enum
 from functools import cache
 from typing import Any
 
@@ -14,11 +13,85 @@ import numpy as np
 
 from ...array_types import Flags, Floats, Numbers
 from ...collector.directions import direction
+from ..arrays import (
+    Sides,
+    answer_of,
+    drawn,
+    lit_from,
+    of_direction,
+    of_eval,
+    of_sampled_pdf,
+    of_weight,
+    rows,
+    smooth,
+    sphere,
+    value,
+)
 from ..conditions import POSITION, TURN
 from ..evidence import ALL, BIAS, INTERFACE, MIN_RANDOM, NOISE, Evidence, Question
-from ..mistakes import EVAL, PDF, SAMPLE, Function, Guess, Kind, Mistake
+from ..judgements import by_sample, improper as any_improper
+from ..mistakes import EVAL, PDF, SAMPLE, Claim, Function, Guess, Mistake
 from ..probe import Probe, numbers, spectral, vectors
 from ..samples import Samples, beyond_rounding, means_differ, unequal
+
+
+def proper(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> tuple[Any]:
+    """Answers are finite and not negative, of samples and in all directions."""
+    bs, _ = drawn(bsdf, ctx, si, u)
+    both = [rows(what(bsdf, ctx, si, wo, u)) for wo in (bs.wo, sphere(u.y, u.z))]
+    found = np.hstack(both)
+    return (found,)
+
+
+def again(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> Sides:
+    """Answers are the same after other calls."""
+    bs, weight = drawn(bsdf, ctx, si, u)
+    first = rows(what(bsdf, ctx, si, bs.wo, u))
+    others, _ = drawn(bsdf, ctx, si, mi.Point3f(u.y, u.x, u.z))
+    value(bsdf, ctx, si, others.wo)
+    return first, rows(what(bsdf, ctx, si, bs.wo, u)), smooth(bs, weight)
+
+
+def backwards(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> Sides:
+    """Answers are the same if rays are asked in another order."""
+    wi = mi.warp.square_to_cosine_hemisphere(mi.Point2f(u.y, u.z))
+    si = lit_from(si, dr.mulsign(wi, si.wi.z))
+    bs, weight = drawn(bsdf, ctx, si, u)
+    first = rows(what(bsdf, ctx, si, bs.wo, u))
+    i = dr.width(u) - 1 - dr.arange(mi.UInt32, dr.width(u))
+    wi, wo, u = (dr.gather(mi.Vector3f, mi.Vector3f(x), i) for x in (si.wi, bs.wo, u))
+    last = rows(what(bsdf, ctx, lit_from(si, wi), wo, u))
+    return first, last[..., ::-1], smooth(bs, weight)
+
+
+def together(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any, n: int) -> Sides:
+    """Answers are the same in a call of `n` rays."""
+    bs, weight = drawn(bsdf, ctx, si, u)
+    i = np.arange(n) % 1024
+    last = i[-1024:]
+    first = rows(what(bsdf, ctx, si, bs.wo, u))[..., last]
+    many = (dr.gather(type(x), x, mi.UInt32(i)) for x in (si, bs.wo, u))
+    others = rows(what(bsdf, ctx, *many))[..., -1024:]
+    return first, others, smooth(bs, weight)[last]
+
+
+def in_the_world(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> Sides:
+    """Local answers do not depend on how the surface is turned in the world."""
+    bs, weight = drawn(bsdf, ctx, si, u)
+    flat = type(si)(si)
+    flat.sh_frame = mi.Frame3f([0, 0, 1])
+    turned, there = (rows(what(bsdf, ctx, x, bs.wo, u)) for x in (si, flat))
+    return turned, there, smooth(bs, weight)
+
+
+def albedo(bsdf: Any, ctx: Any, si: Any, u: Any) -> Sides:
+    """The reflectance of a Lambertian is pi times `eval` over the cosine."""
+    bs, weight = drawn(bsdf, ctx, si, u)
+    cosine = np.abs(rows(bs.wo.z))
+    due = np.pi * value(bsdf, ctx, si, bs.wo) / np.fmax(cosine, 1e-3)
+    reported = rows(bsdf.eval_diffuse_reflectance(si, True))
+    return reported, due, smooth(bs, weight) & (cosine[0] > 1e-3)
+
 
 ANSWERS = Question(
     "answers",
@@ -29,6 +102,7 @@ ANSWERS = Question(
     "`pdf` are the answers of `eval_pdf`",
     rank=0,
     matrices="all functions return finite matrices",
+    shown=Claim(proper, any_improper, (of_eval,)),
 )
 
 
@@ -46,9 +120,14 @@ class Answers(Mistake):
     OF_ORDER = "{who} depends on the place of a ray in the array"
     OF_NUMBER = "{who} depends on the number of rays that are asked together"
     OTHER_ALBEDO = "{who} is not the reflectance of `eval`, {due:.4g}"
+    OF_INSTANCE = """{who} depends on another instance of the plugin: the class keeps
+        what belongs to one"""
     OF_CALLS = "{who} returns different values when called again"
     BY_CHANCE = "{who} draws random numbers of its own, and is not reproducible"
 
+
+# What `sample` answers.
+OF_SAMPLES = {"weight": of_weight, "pdf": of_sampled_pdf, "direction": of_direction}
 
 # Properties that hold unless two functions contradict each other.
 AGREEMENTS = (
@@ -104,12 +183,14 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
     for name in ("eval_pdf", "eval_pdf_sample"):
         joint = samples.joint[name]
         cases += [(Function.named(name), "value", x, smooth) for x in joint]
-    for function, what, value, where in cases:
-        wrong = improper(value) & where
+    for function, what, answer, where in cases:
+        wrong = improper(answer) & where
         if wrong.any():
-            fields = {"what": what, "value": example(value[wrong])}
+            fields = {"what": what, "value": example(answer[wrong])}
             guess = Answers.IMPROPER_IN_PLACES(function, **fields)
-            evidence.breach(ANSWERS, guess, samples, wrong, about=what)
+            own = OF_SAMPLES[what] if function is SAMPLE else answer_of(function)
+            shown = Claim(proper, any_improper, (own,))
+            evidence.breach(ANSWERS, guess, samples, wrong, shown=shown)
 
 
 @cache
@@ -141,6 +222,7 @@ def check_lattice(evidence: Evidence, probe: Probe) -> tuple[Floats, Floats]:
             share, place = float(wrong.mean()), f"{theta:.0f}, phi_o {phi % 360:.0f}"
             text = f"{share:.3g} of all directions, such as theta_o {place}"
             how = {"size": share, "off": share, "effect": INTERFACE if black else ""}
+            how["shown"] = Claim(proper, any_improper, (answer_of(function),))
             evidence.breach(ANSWERS, guess, probe.condition, found=text, **how)
     return value, density
 
@@ -173,7 +255,10 @@ def check_frames(evidence: Evidence) -> None:
         guess, wrong = found
         place = _turned_answer(evidence.bsdf, samples, moved=True) is None
         if not place and (turned - flat or guess.mistake not in MIXED):
-            others = {"size": 2.0, "off": None, "kind": Kind.OTHER_IN_THE_WORLD}
+            who = guess.functions
+            what = of_direction if who is SAMPLE else answer_of(who)
+            shown = Claim(in_the_world, by_sample, (what,))
+            others: dict[str, Any] = {"size": 2.0, "off": None, "shown": shown}
             text = "where the surface is turned,"
             evidence.breach(ANSWERS, guess, samples, wrong, found=text, **others)
         else:
@@ -204,16 +289,16 @@ def _turned_answer(
     if moved:
         probe.p = mi.Point3f(POSITION.tolist())
     usable, wo = samples.usable, samples.wo
-    for function, ask, here, slack in (
+    for function, answer, here, slack in (
         (EVAL, probe.values, samples.eval, samples.eval_slack),
         (PDF, probe.densities, samples.pdf, samples.pdf_slack),
     ):
-        wrong = unequal(ask(wo), here, slack) & usable
+        wrong = unequal(answer(wo), here, slack) & usable
         if beyond_rounding(wrong):
             for name, axes in (("to_local", TURN), ("to_world", TURN.T)):
                 # a mask may ask for the side of either
                 alike = usable & ((wo @ axes)[:, 2] * wo[:, 2] > 0)
-                other = beyond_rounding(unequal(ask(wo @ axes), here, slack) & alike)
+                other = beyond_rounding(unequal(answer(wo @ axes), here, slack) & alike)
                 if beyond_rounding(alike & wrong) and not other:
                     return Answers.APPLIES_A_TRANSFORM(function, transform=name), wrong
             return Answers.MIXES_COORDINATES(function), wrong
@@ -282,7 +367,7 @@ def check_same(
     evidence: Evidence,
     samples: Samples,
     mistake: Answers,
-    kind: Enum,
+    shown: Claim,
     i: mi.UInt32 | None = None,
     exact: bool = False,
 ) -> None:
@@ -294,8 +379,8 @@ def check_same(
     # whatever the surroundings are
     told = replace(samples, condition=replace(samples.condition, fields=()))
     for function, wrong in found.items():
-        about = "" if i is None else str(dr.width(i))
-        how: dict[str, Any] = {"size": 2.0, "off": None, "kind": kind, "about": about}
+        own = replace(shown, given=(answer_of(function), *shown.given))
+        how: dict[str, Any] = {"size": 2.0, "off": None, "shown": own}
         if _is_by_chance(evidence, samples, function, wrong):
             mistake, how["effect"] = Answers.BY_CHANCE, BY_CHANCE[function]
         evidence.breach(ANSWERS, mistake(function), told, wrong, **how)
@@ -336,31 +421,35 @@ def add_field(evidence: Evidence, field: str, names: Collection[str]) -> None:
             how = f"{seeing[0].quoted} depends, and {blind.quoted} does not,"
         point = "mei" if evidence.of_volumes else "si"
         guess = Answers.OF_FIELD(both, how=how, point=point, field=field)
-        more = {"size": 1.5, "off": None, "kind": Kind[name.upper()]}
+        claim = next(one.shown for one in evidence.questions if one.name == name)
+        more = {"size": 1.5, "off": None, "shown": claim}
         evidence.breach(ANSWERS, guess, samples, changed[seeing[0]], **more)
         return
+
+
+ALBEDO = Claim(albedo, by_sample)
 
 
 def check_albedo(evidence: Evidence) -> None:
     """Check range of ``eval_diffuse_reflectance``, and its value if Lambertian."""
     samples = evidence.whole[0]
     function, all_flags = Function.EVAL_DIFFUSE_REFLECTANCE, int(evidence.bsdf.flags())
-    probe = Probe(evidence.bsdf, samples.condition)
-    reported = probe.of_surface(str(function))
+    reported = Probe(evidence.bsdf, samples.condition).of_surface(str(function))
     guess = None
     if improper(reported[None]).any():
         fields = {"what": "value", "value": example(reported[None])}
         guess = Answers.IMPROPER(function, **fields)
-    usable = samples.usable & samples.reflected & (samples.wo[:, 2] != 0)
     lobes = sum(int(getattr(mi.BSDFFlags, lobe)) for lobe in LOBES)
+    usable = samples.usable & samples.reflected
     if all_flags & lobes == int(mi.BSDFFlags.DiffuseReflection) and usable.any():
-        value = np.pi * samples.eval[usable] / np.abs(samples.wo[usable, 2:])
+        _, value, counts = samples.hold(albedo)
+        value = value[counts & usable]
         due = np.median(value, axis=0)
         even = np.ptp(value, axis=0).max() < MAX_ALBEDO_OFF * due.max()
         if even and np.abs(reported - due).max() > MAX_ALBEDO_OFF * due.max():
             guess = Answers.OTHER_ALBEDO(function, due=due.max())
     if guess:
-        text, how = f"{reported.max():.4g}", {"effect": INTERFACE, "kind": Kind.ALBEDO}
+        text, how = f"{reported.max():.4g}", {"effect": INTERFACE, "shown": ALBEDO}
         evidence.breach(ANSWERS, guess, samples.condition, found=text, **how)
 
 

@@ -3,19 +3,84 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
 from ...array_types import Flags, Floats
+from ..arrays import (
+    Sides,
+    answer_of,
+    drawn,
+    lit,
+    of_eval,
+    of_pdf,
+    rows,
+    smooth,
+)
 from ..evidence import INTERFACE, SAME, Evidence, Question
-from ..mistakes import EVAL, PDF, SAMPLE, Guess, Kind, Mistake
+from ..judgements import by_sample, equal, same
+from ..mistakes import EVAL, PDF, SAMPLE, Claim, Guess, Mistake
 from ..probe import Probe, is_delta, numbers, spectral
 from ..samples import Samples, beyond_rounding, unequal
 from .answers import LOBES
 from .flags import DECLARED
 
-COMPONENTS = Question("components", __doc__, INTERFACE, volumes=SAME, rank=3)
+
+def component(ctx: Any, i: int) -> Any:
+    """Context in which a component is alone."""
+    return mi.BSDFContext(ctx.mode, ctx.type_mask, i)
+
+
+def components(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> Sides:
+    """Components add up to the whole."""
+    bs, weight = drawn(bsdf, ctx, si, u)
+    each = range(bsdf.component_count())
+    asked = [rows(what(bsdf, component(ctx, i), si, bs.wo, u)) for i in each]
+    return rows(what(bsdf, ctx, si, bs.wo, u)), sum(asked), smooth(bs, weight)
+
+
+def discrete_flux(bsdf: Any, ctx: Any, si: Any, u: Any, i: int) -> tuple[float, float]:
+    """The discrete lobe of a component has the same flux alone as in the whole."""
+    bs, weight = drawn(bsdf, ctx, si, u)
+    own = lit(weight) & (np.array(bs.sampled_component) == i)
+    whole = np.median((rows(weight).mean(axis=0) * rows(bs.pdf))[0, own])
+    bs, weight = drawn(bsdf, component(ctx, i), si, u)
+    return whole, np.median(rows(weight).mean(axis=0) * rows(bs.pdf))
+
+
+def type_masks(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> tuple[int, int]:
+    """What a mask of types excludes does not answer, of one component."""
+    answers = 0
+    for i in range(bsdf.component_count()):
+        types = int(mi.BSDFFlags.All) & ~int(bsdf.flags(i))
+        other = mi.BSDFContext(ctx.mode, types, ctx.component)
+        bs, _ = drawn(bsdf, other, si, u)
+        answers += int(np.sum(rows(what(bsdf, other, si, bs.wo, u)) != 0))
+    return answers, 0
+
+
+def type_masks_of_samples(bsdf: Any, ctx: Any, si: Any, u: Any) -> tuple[int, int]:
+    """What a mask of types excludes is not sampled."""
+    answers = 0
+    for i in range(bsdf.component_count()):
+        types = int(mi.BSDFFlags.All) & ~int(bsdf.flags(i))
+        other = mi.BSDFContext(ctx.mode, types, ctx.component)
+        bs, weight = drawn(bsdf, other, si, u)
+        excluded = np.array(bs.sampled_type) & int(bsdf.flags(i)) & 0x7E != 0
+        answers += int(np.sum(excluded & lit(weight)))
+    return answers, 0
+
+
+COMPONENTS = Question(
+    "components",
+    __doc__,
+    INTERFACE,
+    volumes=SAME,
+    rank=3,
+    shown=Claim(components, by_sample, (of_eval,)),
+)
 
 
 class Components(Mistake):
@@ -81,7 +146,8 @@ def _check_discrete(evidence: Evidence, samples: Samples, each: Alone) -> None:
             continue
         guess = Components.OTHER_LOBE(SAMPLE, component=i)
         text = f"{due.max():.4g} of the light alone, {whole.max():.4g} in the whole,"
-        how = {"found": text, "kind": Kind.LOBE_OF_A_COMPONENT, "about": str(i)}
+        shown = Claim(discrete_flux, equal, (i,))
+        how = {"found": text, "shown": shown}
         evidence.breach(COMPONENTS, guess, samples.condition, **how)
 
 
@@ -130,7 +196,10 @@ def _check_types(evidence: Evidence, samples: Samples, each: Alone) -> None:
             wrong = wrong & (samples.smooth | (function is SAMPLE))
             if beyond_rounding(wrong) and (apart or function is SAMPLE):
                 guess = Components.TYPE_IGNORED(function)
-                how = {"off": None, "kind": Kind.TYPE_MASK}
+                shown = Claim(type_masks, same, (answer_of(function),))
+                if function is SAMPLE:
+                    shown = Claim(type_masks_of_samples, same)
+                how = {"off": None, "shown": shown}
                 evidence.breach(DECLARED, guess, samples, wrong, **how)
                 return
 
@@ -147,14 +216,14 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
     if not evidence.of("components"):
         _check_discrete(evidence, samples, each)
         _check_types(evidence, samples, each)
-    total, density = each.eval.sum(axis=0), each.pdf.sum(axis=0)
+    whole, total, _ = samples.hold(components, of_eval)
+    density = samples.hold(components, of_pdf)[1][:, 0]
     usable = samples.smooth & np.isfinite(total).all(axis=1) & np.isfinite(density)
     deaf = _ignoring_components(samples, each, usable)
-    wrong = unequal(total, samples.eval, samples.eval_slack) & usable
-    drawn = total[usable], samples.eval[usable], samples.wo[usable]
-    if beyond_rounding(wrong) and not evidence.by_chance(*drawn):
-        whole = samples.eval[wrong].sum(axis=1)
-        ratio = total[wrong].sum(axis=1) / np.maximum(whole, 1e-30)
+    wrong = unequal(total, whole, samples.eval_slack) & usable
+    both = total[usable], whole[usable], samples.wo[usable]
+    if beyond_rounding(wrong) and not evidence.by_chance(*both):
+        ratio = total[wrong].sum(axis=1) / np.maximum(whole[wrong].sum(axis=1), 1e-30)
         guess = deaf or Components.NO_SUM(EVAL)
         text = f"their sum is {np.median(ratio):.4g} times the whole"
         how = {"found": text, "size": 1 + float(wrong.mean()), "off": None}

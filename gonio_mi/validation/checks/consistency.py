@@ -12,7 +12,8 @@ import numpy as np
 
 from ..conditions import FIELDS, Effort, Sweep
 from ..evidence import BIAS, MAX_P, Evidence
-from ..mistakes import Kind
+from ..judgements import by_sample
+from ..mistakes import Claim
 from ..probe import Probe, numbers, spectral
 from ..samples import Samples, beyond_rounding, samples_of, unequal
 from . import answers, cost, sampling
@@ -116,15 +117,15 @@ def check_again(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> None:
     cost.check_compiled(evidence, first.condition, plan.checked, key)
     check_memory(evidence, exact=True)
     if not any(breach.effect == BIAS for breach in evidence.of("answers")):
-        swept, number = evidence.sweeps[0], Kind.OTHER_IN_ANOTHER_NUMBER
+        swept, number = evidence.sweeps[0], Claim(answers.together, by_sample)
         backwards = swept.n - 1 - dr.arange(mi.UInt32, swept.n)
-        order = mistakes.OF_ORDER, Kind.OTHER_IN_ANOTHER_PLACE
+        order = mistakes.OF_ORDER, Claim(answers.backwards, by_sample)
         answers.check_same(evidence, swept, *order, backwards)
         # many take a quarter of a second
         numbers = (FEW,) if plan is Effort.named("quick") else (FEW, MANY)
         for n in numbers:
             i = dr.arange(mi.UInt32, n) % SAME
-            answers.check_same(evidence, swept, mistakes.OF_NUMBER, number, i)
+            answers.check_same(evidence, swept, mistakes.OF_NUMBER, number.of(n), i)
     answers.check_frames(evidence)
 
 
@@ -135,5 +136,5 @@ def check_memory(evidence: Evidence, exact: bool = False) -> None:
     kernels before, and rounded otherwise.
     """
     if not evidence.of("answers"):
-        how = answers.Answers.OF_CALLS, Kind.OTHER_WHEN_CALLED_AGAIN
+        how = answers.Answers.OF_CALLS, Claim(answers.again, by_sample)
         answers.check_same(evidence, evidence.samples[0], *how, exact=exact)

@@ -1,16 +1,40 @@
 """Continuous at normal incidence, non-zero up to grazing angles."""
 
+from typing import Any
+
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from ...collector.directions import direction
+from ..arrays import Sides, answer_of, drawn, lit_from, rows, smooth, sphere, value
 from ..conditions import PHI, Condition
 from ..evidence import MODEL, Evidence, Question
-from ..mistakes import EVAL, PDF, Kind, Mistake
+from ..judgements import by_sample, equal
+from ..mistakes import EVAL, PDF, Claim, Mistake
 from ..probe import Probe, spectral, uniform, vectors
 from ..samples import ULPS, Samples
 
-CONTINUITY = Question("continuity", __doc__, MODEL)
+
+def horizon(bsdf: Any, ctx: Any, si: Any, u: Any) -> tuple[float, float]:
+    """As many directions are illuminated from near the horizon as from 60 degrees."""
+    shares = []
+    for cosine in (0.5, 1e-3):
+        wi = mi.Vector3f((1 - cosine**2) ** 0.5, 0, cosine) * dr.sign(si.wi.z)
+        there = lit_from(si, wi + 0 * u)
+        shares.append(np.mean(value(bsdf, ctx, there, sphere(u.y, u.z)) > 0))
+    return shares[0], shares[1]
+
+
+def at_normal(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> Sides:
+    """No jump at normal incidence."""
+    bs, weight = drawn(bsdf, ctx, si, u)
+    near = lit_from(si, si.wi + mi.Vector3f(2**-16, 0, 0))
+    here, there = (rows(what(bsdf, ctx, x, bs.wo, u)) for x in (si, near))
+    return here, there, smooth(bs, weight)
+
+
+CONTINUITY = Question("continuity", __doc__, MODEL, shown=Claim(horizon, equal))
 
 
 class Continuity(Mistake):
@@ -52,21 +76,22 @@ def check_normal(evidence: Evidence, samples: Samples) -> None:
         direction(MAX_TILT, phi) * np.sign([1, 1, samples.condition.wi[2]])
         for phi in np.radians(PHI)
     ]
-    for function, ask, here, slack in (
+    for function, answer, here, slack in (
         (EVAL, probe.values, samples.eval, samples.eval_slack),
         (PDF, probe.densities, samples.pdf, samples.pdf_slack),
     ):
         # a tilt changes as many times more than rounding as it is larger than 4 ulp
         steep = slack[usable].sum() * MAX_TILT / ULPS
         whole = here[usable].sum()
-        changes = [np.abs(ask(samples.wo, wi) - here)[usable].sum() for wi in nearby]
+        changes = [np.abs(answer(samples.wo, wi) - here)[usable].sum() for wi in nearby]
         # near normal incidence, and nowhere else, all azimuths are one direction
         jump = min(changes) / whole if whole > 0 else 0.0
         if jump > MAX_JUMP and min(changes) > 4 * steep:
             guess, at = Continuity.AT_NORMAL(function), samples.condition
             text = f"{function.quoted} changes by {jump:.3g} of itself within "
             text += f"{np.degrees(MAX_TILT):.1g} degrees of normal incidence, {at.side}"
-            how = {"size": float(jump), "kind": Kind.JUMP_AT_NORMAL}
+            shown = Claim(at_normal, by_sample, (answer_of(function),))
+            how = {"size": float(jump), "shown": shown}
             evidence.breach(CONTINUITY, guess, at, statistic=text, **how)
 
 

@@ -1,6 +1,7 @@
 """Discrete lobes have one direction, weight and probability."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -8,12 +9,53 @@ from scipy import special
 
 from ...array_types import Flags, Floats
 from ...single_precision import BSDF_ROUNDING
+from ..arrays import Sides, discrete, drawn, rows
 from ..evidence import BIAS, MODEL, SAMPLED, Evidence, Question
-from ..mistakes import SAMPLE, Function, Kind, Mistake
+from ..judgements import apart, by_sample, equal
+from ..mistakes import SAMPLE, Claim, Function, Mistake
 from ..probe import Probe
 from ..samples import Samples, beyond_rounding
 
-DELTA = Question("delta", __doc__, BIAS, SAMPLED, rank=0)
+
+def first_lobe(bs: Any) -> Any:
+    """Whether samples have the direction of the first discrete one."""
+    own = discrete(bs) & (rows(bs.pdf)[0] > 0)
+    wo = np.array(bs.wo) + np.zeros(own.shape)
+    return own & np.all(np.abs(wo - wo[:, own.argmax(), None]) < 1e-3, axis=0)
+
+
+def probability(bsdf: Any, ctx: Any, si: Any, u: Any) -> tuple[float, float, float]:
+    """The pdf of a discrete lobe is the probability with which it is drawn."""
+    bs, _ = drawn(bsdf, ctx, si, u)
+    own = first_lobe(bs)
+    pdf = np.broadcast_to(rows(bs.pdf)[0], own.shape)[own.argmax()]
+    return np.mean(own), pdf, np.std(own) / own.size**0.5
+
+
+def mirrored(bsdf: Any, ctx: Any, si: Any, u: Any) -> Sides:
+    """A discrete lobe has the direction of a mirror."""
+    bs, _ = drawn(bsdf, ctx, si, u)
+    return rows(bs.wo.x), rows(mi.reflect(si.wi).x), first_lobe(bs)
+
+
+def one_weight(bsdf: Any, ctx: Any, si: Any, u: Any) -> tuple[float, float]:
+    """A discrete lobe has one weight."""
+    bs, weight = drawn(bsdf, ctx, si, u)
+    weights = rows(weight).mean(axis=0)[first_lobe(bs)]
+    return weights.min(), weights.max()
+
+
+def null_transmission(bsdf: Any, ctx: Any, si: Any, u: Any) -> tuple[float, float]:
+    """`eval_null_transmission` is the flux that samples have straight on."""
+    bs, weight = drawn(bsdf, ctx, si, u)
+    straight = np.array(bs.sampled_type) & int(mi.BSDFFlags.Null) != 0
+    flux = (rows(weight) * rows(bs.pdf)).mean(axis=0)[straight]
+    return np.mean(flux), np.mean(rows(bsdf.eval_null_transmission(si, True)))
+
+
+DELTA = Question(
+    "delta", __doc__, BIAS, SAMPLED, rank=0, shown=Claim(probability, apart)
+)
 
 
 class Delta(Mistake):
@@ -112,8 +154,8 @@ def _check_lobe(evidence: Evidence, lobe: Lobe) -> bool:
     _check_probability(evidence, lobe)
     if np.ptp(weight, axis=0).max() > BSDF_ROUNDING * np.abs(weight).max():
         text = f"weights from {weight.min():.4g} to {weight.max():.4g}"
-        guess, how = Delta.MANY_WEIGHTS(SAMPLE), {"kind": Kind.WEIGHTS_OF_A_LOBE}
-        evidence.breach(DELTA, guess, samples.condition, found=text, **how)
+        guess, how = Delta.MANY_WEIGHTS(SAMPLE), Claim(one_weight, equal)
+        evidence.breach(DELTA, guess, samples.condition, found=text, shown=how)
         return False
     return True
 
@@ -131,7 +173,7 @@ def _check_direction(evidence: Evidence, lobe: Lobe) -> None:
         law = "that of Snell's law for its eta"
     if off > DIRECTION_ROUNDING:
         guess, at = Delta.DIRECTION(SAMPLE, law=law), lobe.samples.condition
-        how = {"size": off, "effect": MODEL, "kind": Kind.DIRECTION_OF_A_LOBE}
+        how = {"size": off, "effect": MODEL, "shown": Claim(mirrored, by_sample)}
         text = f"the direction is off by {off:.3g}"
         evidence.breach(DELTA, guess, at, found=text, **how)
 
@@ -167,4 +209,5 @@ def check_null(evidence: Evidence, samples: Samples) -> None:
     if np.abs(sampled - reported).max() > slack:
         guess, at = Delta.OTHER_THAN_SAMPLED(function), samples.condition
         text = f"says {reported.max():.4g}, sampled is {sampled.max():.4g}"
-        evidence.breach(DELTA, guess, at, found=text, kind=Kind.NULL_TRANSMISSION)
+        shown = Claim(null_transmission, equal)
+        evidence.breach(DELTA, guess, at, found=text, shown=shown)

@@ -1,15 +1,48 @@
 """Sampled directions are unit vectors on the side of their type."""
 
 from dataclasses import replace
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
 from ...single_precision import BSDF_ROUNDING
+from ..arrays import Sides, drawn, lit, lit_from, rows, smooth, value
 from ..evidence import BIAS, INTERFACE, NOISE, SAMPLED, Evidence, Question
-from ..mistakes import SAMPLE, Kind, Mistake
+from ..judgements import by_sample, same
+from ..mistakes import SAMPLE, Claim, Mistake
 from ..samples import Samples, beyond_rounding, unequal
 from .reciprocity import MAX_OFF, BothWays, is_constant
+
+
+def sides(bsdf: Any, ctx: Any, si: Any, u: Any) -> tuple[int, int]:
+    """As many samples leave on the other side as have a transmitting type."""
+    bs, weight = drawn(bsdf, ctx, si, u)
+    through = np.array(bs.sampled_type) & int(mi.BSDFFlags.Transmission) != 0
+    below = np.array(bs.wo.z * si.wi.z) < 0
+    return int(np.sum(through & lit(weight))), int(np.sum(below & lit(weight)))
+
+
+def length(bsdf: Any, ctx: Any, si: Any, u: Any) -> Sides:
+    """Directions have the length 1."""
+    bs, weight = drawn(bsdf, ctx, si, u)
+    return np.linalg.norm(rows(bs.wo), axis=0), 1, lit(weight)
+
+
+def index_of_reflection(bsdf: Any, ctx: Any, si: Any, u: Any) -> Sides:
+    """The eta of a reflection is 1."""
+    bs, weight = drawn(bsdf, ctx, si, u)
+    return rows(bs.eta), 1, lit(weight) & (np.array(bs.wo.z * si.wi.z) > 0)
+
+
+def index(bsdf: Any, ctx: Any, si: Any, u: Any) -> Sides:
+    """The square of eta is the ratio of light that passes each way."""
+    bs, weight = drawn(bsdf, ctx, si, u)
+    there = value(bsdf, ctx, si, bs.wo).mean(axis=0) / np.abs(bs.wo.z)
+    back = value(bsdf, ctx, lit_from(si, bs.wo), si.wi).mean(axis=0) / np.abs(si.wi.z)
+    through = (np.array(bs.wo.z * si.wi.z) < 0) & (np.abs(bs.wo.z) > 1e-3)
+    return rows(bs.eta) ** 2, there / back, through & smooth(bs, weight)
+
 
 DIRECTIONS = Question(
     "directions",
@@ -18,6 +51,7 @@ DIRECTIONS = Question(
     SAMPLED,
     volumes="sampled directions are unit vectors",
     rank=0,
+    shown=Claim(length, by_sample),
 )
 
 
@@ -45,7 +79,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
     given = samples.given & np.isfinite(samples.wo).all(axis=1)
     if not given.any():
         return
-    length = np.linalg.norm(samples.wo, axis=1)
+    lengths, due, _ = samples.hold(length)
     flags = mi.BSDFFlags
     reflects = (samples.type & int(flags.Reflection)) != 0
     transmits = (samples.type & int(flags.Transmission)) != 0
@@ -58,10 +92,10 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
     agreed = ~unequal(samples.flux, samples.eval, samples.eval_slack)
     agreed &= (samples.eval > 0).any(axis=1)
     bent = reflects & ~(np.abs(samples.eta - 1) < BSDF_ROUNDING) & ~transmits
-    too_long = np.abs(length - 1) > BSDF_ROUNDING
-    side, eta = Kind.DIRECTIONS, Kind.ETA_OF_REFLECTION
-    for wrong, mistake, effect, kind in (
-        (too_long, Directions.LENGTH, "", Kind.LENGTH),
+    too_long = (np.abs(lengths - due) > BSDF_ROUNDING)[:, 0]
+    side, eta = Claim(sides, same), Claim(index_of_reflection, by_sample)
+    for wrong, mistake, effect, shown in (
+        (too_long, Directions.LENGTH, "", None),
         (one_way & ~agreed, Directions.THROUGH, "", side),
         (one_way & agreed, Directions.THROUGH_AGREED, INTERFACE, side),
         (other_way & ~agreed, Directions.BACK, "", side),
@@ -73,7 +107,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
     ):
         wrong = wrong & given
         if beyond_rounding(wrong):
-            guess, how = mistake(SAMPLE), {"effect": effect, "kind": kind}
+            guess, how = mistake(SAMPLE), {"effect": effect, "shown": shown}
             evidence.breach(DIRECTIONS, guess, samples, wrong, **how)
 
 
@@ -106,7 +140,7 @@ def check_eta(evidence: Evidence, ways: BothWays) -> BothWays:
     inverse = abs(reported * due - 1) < MAX_OFF
     mistake = Directions.ETA_OF_OTHER_SIDE if inverse else Directions.ETA
     # only Russian roulette uses it
-    how = {"off": None, "effect": NOISE, "kind": Kind.ETA}
+    how = {"off": None, "effect": NOISE, "shown": Claim(index, by_sample)}
     text = f"{reported**0.5:.4g} where the transport modes of `eval` have "
     text += f"{due**0.5:.4g},"
     evidence.breach(DIRECTIONS, mistake(SAMPLE), samples, through, found=text, **how)

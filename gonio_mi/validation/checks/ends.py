@@ -4,6 +4,7 @@ from collections.abc import Generator, Sequence
 from itertools import product
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -11,9 +12,19 @@ from ...array_types import Flags, Floats, Numbers
 from ...collector.directions import direction
 from ...single_precision import BSDF_ROUNDING
 from ...specimen.bsdf_trial import PluginFault
+from ..arrays import (
+    answer_of,
+    drawn,
+    lit,
+    lit_from,
+    of_eval,
+    rows,
+    sphere,
+)
 from ..conditions import Condition
-from ..evidence import BIAS, INTERFACE, SAME, Evidence, Question
-from ..mistakes import EVAL, PDF, SAMPLE, Function, Kind, Mistake
+from ..evidence import BIAS, INTERFACE, SAME, Evidence, Question, answered
+from ..judgements import improper as any_improper, same
+from ..mistakes import EVAL, PDF, SAMPLE, Claim, Function, Mistake
 from ..probe import (
     Probe,
     changed,
@@ -23,10 +34,59 @@ from ..probe import (
     spectral,
     vectors,
 )
-from .answers import example, improper
+from .answers import OF_SAMPLES, example, improper
+
+
+def corners(si: Any) -> Any:
+    """Interactions of light from the ends, and the ends of random numbers."""
+    ends = np.array([0, 0.5, np.nextafter(np.float32(1), np.float32(0))], np.float32)
+    u = np.array(np.meshgrid(ends, ends, ends)).reshape(3, -1)
+    for theta in np.radians([0, 1e-3, 89.99, 90, 90.01, 120, 179.999, 180]):
+        there = type(si)(si)
+        wi = np.round([[np.sin(theta)], [0], [np.cos(theta)]], 9)
+        there.wi = mi.Vector3f(np.tile(wi, u.shape[1]))
+        yield there, mi.Point3f(u)
+
+
+def at_ends(bsdf: Any, ctx: Any, si: Any, _: Any, what: Any) -> tuple[Any]:
+    """Answers are finite and not negative at the ends of angles and numbers."""
+    found = []
+    for there, u in corners(si):
+        bs, _ = drawn(bsdf, ctx, there, u)
+        wi, mirror = there.wi, mi.reflect(there.wi)
+        for wo in (bs.wo, wi, -wi, mirror, -mirror):
+            real = dr.squared_norm(wo) > 0.5
+            answer = rows(what(bsdf, ctx, there, wo, u))
+            found.append(np.where(real, answer, 0).ravel())
+    return (np.concatenate(found),)
+
+
+def straight(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> tuple[Any]:
+    """Answers are finite and not negative where wo is wi, -wi, or the mirror's."""
+    there = lit_from(si, sphere(u.y, u.z))
+    wi, mirror = there.wi, mi.reflect(there.wi)
+    found = [rows(what(bsdf, ctx, there, wo, u)) for wo in (wi, -wi, mirror)]
+    return (np.hstack(found),)
+
+
+def length_at_ends(bsdf: Any, ctx: Any, si: Any, _: Any) -> tuple[Any]:
+    """Directions have the length 1 at the ends of angles and numbers."""
+    found = []
+    for there, u in corners(si):
+        bs, weight = drawn(bsdf, ctx, there, u)
+        off = np.abs(np.linalg.norm(rows(bs.wo), axis=0) - 1)
+        found.append(1e-3 - np.where(lit(weight), off, 0))
+    return (np.concatenate(found),)
+
 
 ENDS = Question(
-    "ends", __doc__, BIAS, "all integrators, in single pixels", volumes=SAME, rank=3
+    "ends",
+    __doc__,
+    BIAS,
+    "all integrators, in single pixels",
+    volumes=SAME,
+    rank=3,
+    shown=Claim(at_ends, any_improper, (of_eval,)),
 )
 
 
@@ -49,6 +109,9 @@ GRAZING = 2.0**-24
 ANGLES = (0, 1e-3, 89.99, 90, 90.01, 120, 179.999, 180)
 LAST = float(np.nextafter(np.float32(1), np.float32(0)))
 NUMBERS = (0.0, 0.5, LAST)
+
+# Directions, of which a tenth rounds to more than the length 1.
+N_STRAIGHT = 2**11
 
 # Names of parameters that are a roughness, and the limits to try.
 LIMITS = dict.fromkeys(("alpha", "alpha_u", "alpha_v", "roughness"), (1e-3, 1.0))
@@ -88,13 +151,14 @@ def _check_ends(
                 _check_ends(evidence, where, [one])
             return
         guess = Ends.RAISES(Function.named(fault.function), what=fault.what)
-        how = {"off": PIXELS, "kind": Kind.RAISES}
+        raises = Claim(answered, same, (fault.function,))
+        how = {"off": PIXELS, "shown": raises}
         evidence.breach(ENDS, guess, found=f"at {conditions[0]}{where}", **how)
 
 
-def _samples(probe: Probe, corners: Floats) -> tuple[Numbers, ...]:
+def _samples(probe: Probe, u: Floats) -> tuple[Numbers, ...]:
     """Weights, directions and densities of samples."""
-    (bs, weight), n = probe.sample(*random_numbers(corners)), len(corners)
+    (bs, weight), n = probe.sample(*random_numbers(u)), len(u)
     return spectral(weight, n), spectral(bs.wo, n), numbers(bs.pdf, n)
 
 
@@ -103,6 +167,33 @@ def _answers(probe: Probe, wo: Floats) -> tuple[Numbers, ...]:
     (value, pdf), n = probe.eval_pdf(vectors(wo)), len(wo)
     joint = spectral(value, n), numbers(pdf, n).astype(float)
     return probe.values(wo), probe.densities(wo), *joint
+
+
+@ENDS.asks("parameters")
+def check_straight(evidence: Evidence) -> None:
+    """Check directions wo that are wi, straight on, or the mirror's, of many wi.
+
+    By rounding, a product of unit vectors may be more than 1.
+    """
+    wi = np.random.default_rng(0).normal(size=(N_STRAIGHT, 3))
+    wi /= np.linalg.norm(wi, axis=1)[:, None]
+    condition = Condition(0.0, lit=tuple(wi[0]))
+    probe = Probe(evidence.bsdf, condition)
+    for words, wo in (
+        ("wo = wi", wi),
+        ("wo = -wi", -wi),
+        ("wo in the mirror direction", wi * [-1, -1, 1]),
+    ):
+        answers = probe.values(wo, wi), probe.densities(wo, wi)
+        for function, answer in zip((EVAL, PDF), answers):
+            wrong = ~np.isfinite(answer if answer.ndim == 1 else answer.sum(axis=1))
+            if wrong.any():
+                guess = Ends.IMPROPER(function, value=example(answer[wrong]))
+                text = f"value {example(answer[wrong])} where {words}, for "
+                text += f"{100 * wrong.mean():.3g} % of all incident directions"
+                shown = Claim(straight, any_improper, (answer_of(function),))
+                how = {"found": text, "off": PIXELS, "size": 2.0, "shown": shown}
+                evidence.breach(ENDS, guess, **how)
 
 
 @ENDS.asks("parameters")
@@ -131,22 +222,23 @@ def _check(
     evidence: Evidence, wi: Floats, place: str
 ) -> Generator[Numbers | None, tuple[Floats, ...], None]:
     """Check one incident direction; yield what to ask, and get answers."""
-    corners = np.array(list(product(NUMBERS, repeat=3)), dtype=np.float32)
-    weight, wo, pdf = yield corners
+    numbers = np.array(list(product(NUMBERS, repeat=3)), dtype=np.float32)
+    weight, wo, pdf = yield numbers
     given = (weight != 0).any(axis=1)
     extra = [wi, -wi, wi * [-1, -1, 1], wi * [-1, -1, -1]]
     extra += list(direction(np.radians([0, 89.99, 90, 90.01, 180]), 0.3))
     good = given & np.isfinite(wo).all(axis=1)
     directions = np.concatenate([wo[good], extra])
     along = np.full(len(wo), abs(wi[2]) < GRAZING)
-    _check_finite(evidence, SAMPLE, "weight", weight, corners, place, along)
-    found = pdf[given], corners[given], place, along[given]
+    _check_finite(evidence, SAMPLE, "weight", weight, numbers, place, along)
+    found = pdf[given], numbers[given], place, along[given]
     _check_finite(evidence, SAMPLE, "pdf", *found)
     length = np.linalg.norm(wo, axis=1)
     wrong = given & ~(np.abs(length - 1) < BSDF_ROUNDING)
     if (wrong := wrong & ~(along & ~np.isfinite(length))).any():
-        text = f"{_text(wo[wrong][0])} {place}, sample {_text(corners[wrong][0])}"
-        how = {"found": f"direction {text}", "kind": Kind.LENGTH_AT_AN_END}
+        text = f"{_text(wo[wrong][0])} {place}, sample {_text(numbers[wrong][0])}"
+        shown = Claim(length_at_ends, any_improper)
+        how = {"found": f"direction {text}", "shown": shown}
         evidence.breach(ENDS, Ends.LENGTH(SAMPLE), off=PIXELS, **how)
     values, density, *joint = yield directions
     black, densities = (values == 0).all(axis=1), [density, joint[1]]
@@ -171,7 +263,7 @@ def _check(
 def _check_finite(
     evidence: Evidence,
     function: Function,
-    what: str,
+    what: Any,
     value: Numbers,
     inputs: Numbers,
     place: str,
@@ -194,7 +286,9 @@ def _check_finite(
         harmless = harmless and np.isfinite(value[part]).all()
         guess = (Ends.IMPROPER if off else Ends.ALONG)(function, value=text)
         size, effect = float(part.sum()), INTERFACE if harmless else ""
-        how = {"size": size * (1 if off else PIXELS), "effect": effect, "about": what}
+        how = {"size": size * (1 if off else PIXELS), "effect": effect}
+        asked = OF_SAMPLES.get(what) or answer_of(function)
+        how["shown"] = Claim(at_ends, any_improper, (asked,))
         text = f"{what} {text} {place}, {name} {_text(inputs[part][0])}"
         evidence.breach(ENDS, guess, found=text, off=off, of_flux=not off, **how)
 

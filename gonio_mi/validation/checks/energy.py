@@ -1,16 +1,33 @@
 """No more flux leaves than arrives."""
 
+from typing import Any
+
 import mitsuba as mi
 import numpy as np
 from scipy import special
 
 from ...array_types import Flags, Floats, Numbers
 from ...single_precision import BSDF_ROUNDING
+from ..arrays import drawn, of_eval
+from ..densities import total
 from ..evidence import MODEL, Evidence, Question
 from ..integrals import SUM_ERROR
+from ..judgements import apart
 from ..maps import FourMaps
-from ..mistakes import EVAL, SAMPLE, Guess, Mistake
+from ..mistakes import EVAL, SAMPLE, Claim, Guess, Mistake
 from ..mueller import Lobes
+
+
+def best_polarisation(
+    bsdf: Any, ctx: Any, si: Any, u: Any
+) -> tuple[float, float, float]:
+    """No more flux leaves than arrives, of what half of the samples scatter best."""
+    _, weight = drawn(bsdf, ctx, si, u)
+    rows = np.array(weight)[0].mean(axis=1) + 0 * np.array(u)[0]
+    stokes = np.append(1, np.mean(rows[1:, ::2], axis=1))
+    stokes[1:] /= np.linalg.norm(stokes[1:]) + 1e-30
+    x = stokes @ rows[:, 1::2]
+    return np.mean(x), 1, np.std(x) / len(x) ** 0.5
 
 
 class Energy(Mistake):
@@ -41,6 +58,7 @@ ENERGY = Question(
     __doc__,
     MODEL,
     volumes="`eval` integrates to 1",
+    shown=Claim(total, apart, (of_eval, 1)),
     explain=_guess,
     matrices="no more flux leaves than arrives, of any polarisation",
 )
@@ -123,7 +141,8 @@ def check_gain(evidence: Evidence, lobes: Lobes) -> None:
         text = f"{mean:.4g} of the flux of {_named(state)} leaves"
         p_value = float(special.stdtr(half - 1, -z))
         guess, off = Energy.NOT_CONSERVED(function, found=text), max(0.0, mean - 1)
-        evidence.test(ENERGY, p_value, text, condition, off=off, guess=guess)
+        how = {"off": off, "guess": guess, "shown": Claim(best_polarisation, apart)}
+        evidence.test(ENERGY, p_value, text, condition, **how)
 
 
 def _discrete(rows: Floats, pdf: Floats, delta: Flags) -> Floats:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -11,10 +12,19 @@ from ...array_types import Flags, Floats, Integers
 from ...errors import SettingError
 from ...specimen.bsdf_trial import PluginFault
 from ...variants import unpolarised
+from ..arrays import answer_of, drawn, of_flux, rows
 from ..evidence import BIAS, POLARISING, SAME, Evidence, Question
-from ..mistakes import Mistake
+from ..judgements import by_sample
+from ..mistakes import SAMPLE, Claim, Mistake
 from ..mueller import Lobes, Matrices, MuellerProbe
 from ..samples import beyond_rounding
+
+
+def first_element(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> Any:
+    """An answer without polarisation, the flux of `sample`."""
+    bs, _ = drawn(bsdf, ctx, si, u)
+    return rows(what(bsdf, ctx, si, bs.wo, u)).mean(axis=0)
+
 
 FIRST_ELEMENT = Question(
     "first_element", __doc__, BIAS, POLARISING, rank=3, alone=True, matrices=SAME
@@ -83,7 +93,10 @@ def _compare(
     fields = {"factor": factor, "mode": matrices.in_mode}
     guess = FirstElement.FACTOR(matrices.function, **fields)
     text = f"it is {factor} times the unpolarised answer"
-    evidence.breach(FIRST_ELEMENT, guess, matrices, wrong, found=text, off=off)
+    who = matrices.function
+    what = of_flux if who is SAMPLE else answer_of(who)
+    how = {"found": text, "off": off, "shown": Claim(first_element, by_sample, (what,))}
+    evidence.breach(FIRST_ELEMENT, guess, matrices, wrong, **how)
 
 
 def _ask(

@@ -1,18 +1,73 @@
 """Flags declare the observed behaviour."""
 
 from dataclasses import replace
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
 from ...array_types import Floats
+from ..arrays import Sides, drawn, lit, lit_from, smooth, value
 from ..conditions import Condition
 from ..evidence import BIAS, INTERFACE, SAME, Evidence, Question
-from ..mistakes import EVAL, FLAGS, SAMPLE, Kind, Mistake
+from ..judgements import by_sample, equal, same
+from ..mistakes import EVAL, FLAGS, SAMPLE, Claim, Mistake
 from ..probe import Probe
 from ..samples import Samples, beyond_rounding, samples_of, unequal
 from . import sampling, weights
 from .answers import LOBES
+
+
+def declared(bsdf: Any, ctx: Any, si: Any, u: Any) -> tuple[int, int]:
+    """Types and components that are sampled are declared."""
+    bs, weight = drawn(bsdf, ctx, si, u)
+    types = int(np.bitwise_or.reduce(np.array(bs.sampled_type) * lit(weight)))
+    last = int(np.max(np.array(bs.sampled_component) * lit(weight)))
+    if types & ~int(bsdf.flags()) == 0 and last >= bsdf.component_count():
+        return last + 1, bsdf.component_count()
+    return types, types & int(bsdf.flags())
+
+
+def types_of_components(bsdf: Any, ctx: Any, si: Any, u: Any) -> tuple[int, int]:
+    """Types that are sampled as a component are those that it declares."""
+    bs, weight = drawn(bsdf, ctx, si, u)
+    for i in range(bsdf.component_count()):
+        own = lit(weight) & (np.array(bs.sampled_component) == i)
+        types = int(np.bitwise_or.reduce(np.array(bs.sampled_type) * own))
+        if types & ~int(bsdf.flags(i)):
+            return types, types & int(bsdf.flags(i))
+    return 0, 0
+
+
+def unlit(bsdf: Any, ctx: Any, si: Any, u: Any) -> tuple[float, int]:
+    """Nothing is scattered from a side that is not declared."""
+    bs, _ = drawn(bsdf, ctx, si, u)
+    return float(np.mean(value(bsdf, ctx, si, bs.wo) > 0)), 0
+
+
+def turned(bsdf: Any, ctx: Any, si: Any, u: Any) -> Sides:
+    """An isotropic surface may turn about its normal."""
+    bs, weight = drawn(bsdf, ctx, si, u)
+    turn = mi.Matrix3f([[0.6, -0.8, 0], [0.8, 0.6, 0], [0, 0, 1]])
+    there = value(bsdf, ctx, lit_from(si, turn @ si.wi), turn @ bs.wo)
+    return value(bsdf, ctx, si, bs.wo), there, smooth(bs, weight)
+
+
+def differentials(bsdf: Any, ctx: Any, si: Any, u: Any) -> Sides:
+    """Without NeedsDifferentials nothing depends on them."""
+    bs, weight = drawn(bsdf, ctx, si, u)
+    there = type(si)(si)
+    there.duv_dx, there.duv_dy = mi.Vector2f(0.3, 0.1), mi.Vector2f(-0.1, 0.2)
+    others = value(bsdf, ctx, there, bs.wo)
+    return value(bsdf, ctx, si, bs.wo), others, smooth(bs, weight)
+
+
+def isotropic(bsdf: Any, ctx: Any, si: Any, u: Any) -> tuple[float, float]:
+    """A phase function that is isotropic alone has one value."""
+    bs, _ = drawn(bsdf, ctx, si, u)
+    values = value(bsdf, ctx, si, bs.wo)
+    return values.min(), values.max()
+
 
 DECLARED = Question(
     "flags",
@@ -21,6 +76,7 @@ DECLARED = Question(
     "path, direct, volpath, prb: no light is sampled without a smooth lobe",
     volumes=SAME,
     rank=2,
+    shown=Claim(declared, same),
 )
 
 
@@ -38,10 +94,6 @@ class Declared(Mistake):
     NOT_ISOTROPIC = """{who} declares Isotropic alone, but `eval` depends on the
         direction"""
     NOTHING = "{who} declares no kind of scattering"
-
-
-# A turn about the normal.
-TURN = np.array([[0.6, -0.8, 0], [0.8, 0.6, 0], [0, 0, 1]])
 
 
 @DECLARED.asks("bsdf")
@@ -96,9 +148,9 @@ def _check_declared(evidence: Evidence, samples: Samples) -> bool:
         own = int(np.bitwise_or.reduce(types[components == i])) & ~int(bsdf.flags(i))
         if own:
             guess = Declared.TYPE_OF_COMPONENT(FLAGS | SAMPLE, component=i)
-            text, kind = f"{_names(own)} as component {i}", Kind.TYPE_OF_A_COMPONENT
-            at = samples.condition
-            evidence.breach(DECLARED, guess, at, statistic=text, kind=kind)
+            text, at = f"{_names(own)} as component {i}", samples.condition
+            shown = Claim(types_of_components, same)
+            evidence.breach(DECLARED, guess, at, statistic=text, shown=shown)
             return True
     return False
 
@@ -130,34 +182,32 @@ def check_sides(evidence: Evidence) -> None:
             function = function if np.isnan(samples.weight).any() else FLAGS
             text = f"{100 * lit.mean():.3g} % of the samples scatter"
             guess = Declared.SIDE(function, side=side)
-            how = {"found": text, "kind": Kind.UNDECLARED_SIDE}
+            how = {"found": text, "shown": Claim(unlit, same)}
             evidence.breach(DECLARED, guess, condition, **how)
     if not any(samples.given.any() for samples in evidence.samples):
         return
     samples = samples_of(bsdf, base, 2**12, (evidence.seed, 32))
-    turned = flags & int(all_flags.Anisotropic), base.lit_from(TURN @ base.wi)
-    given = bsdf.needs_differentials(), replace(base, differentials=True)
-    for name, (declared, condition), wo, kind in (
-        ("Anisotropic", turned, samples.wo @ TURN.T, Kind.ANISOTROPIC),
-        ("NeedsDifferentials", given, samples.wo, Kind.DIFFERENTIALS),
+    for name, known, stated in (
+        ("Anisotropic", flags & int(all_flags.Anisotropic), turned),
+        ("NeedsDifferentials", bsdf.needs_differentials(), differentials),
     ):
-        share = 0.0 if declared else _changed(evidence, samples, condition, wo)
+        share = 0.0
+        if not known:
+            share = _changed(evidence, samples, samples.hold(stated)[1])
         if share:
             text = f"`eval` changes for {share:.3g} of them"
             guess = Declared.DEPENDENCE(FLAGS, name=name)
-            evidence.breach(DECLARED, guess, base, statistic=text, kind=kind)
-    there = replace(base, uv=(0.15, 0.7)), samples.wo
+            shown = Claim(stated, by_sample)
+            evidence.breach(DECLARED, guess, base, statistic=text, shown=shown)
+    there = Probe(bsdf, replace(base, uv=(0.15, 0.7))).values(samples.wo)
     varies = flags & int(all_flags.SpatiallyVarying)
-    if not varies and _changed(evidence, samples, *there):
+    if not varies and _changed(evidence, samples, there):
         text = "`eval` depends on uv without SpatiallyVarying, as Mitsuba's own do"
         evidence.remark("flags", text)
 
 
-def _changed(
-    evidence: Evidence, samples: Samples, condition: Condition, wo: Floats
-) -> float:
-    """Fraction of samples whose ``eval`` is another one there; 0 if they are few."""
-    value = Probe(evidence.bsdf, condition).values(wo)
+def _changed(evidence: Evidence, samples: Samples, value: Floats) -> float:
+    """Fraction of samples whose ``eval`` is not this value; 0 if they are few."""
     if evidence.by_chance(value, samples.eval, samples.wo):
         return 0.0
     differs = unequal(value, samples.eval, samples.eval_slack) & samples.smooth
@@ -182,6 +232,8 @@ def _check_isotropic(evidence: Evidence) -> None:
     if declared & int(flags.Isotropic) and not declared & others and varies:
         text = f"`eval` is {values.min():.4g} to {values.max():.4g} at "
         text += str(samples.condition)
-        evidence.breach(DECLARED, Declared.NOT_ISOTROPIC(FLAGS), found=text)
+        shown = Claim(isotropic, equal)
+        guess = Declared.NOT_ISOTROPIC(FLAGS)
+        evidence.breach(DECLARED, guess, found=text, shown=shown)
     if not declared:
         evidence.breach(DECLARED, Declared.NOTHING(FLAGS), found="flags are 0")

@@ -3,17 +3,56 @@
 from collections.abc import Callable
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from ...array_types import Flags, Floats, Numbers
 from ...collector.stokes import plane_axis, reframed, turn
+from ..arrays import answer_of, drawn, in_plane, lit_from, per_first
 from ..conditions import TURN
 from ..evidence import BIAS, POLARISING, SAME, Evidence, Question
-from ..mistakes import EVAL, MatrixKind, Mistake
+from ..judgements import elements
+from ..mistakes import EVAL, Claim, Mistake
 from ..mueller import Matrices, Reading, is_identity, off, per_light, readings
 from ..samples import beyond_rounding
 from .matrices import ROUNDING
+
+
+def turned(
+    bsdf: Any, ctx: Any, si: Any, u: Any, what: Any, normal: Any
+) -> tuple[Any, Any]:
+    """Matrices are the same where both directions turn about the normal."""
+    bs, _ = drawn(bsdf, ctx, si, u)
+    rotation = mi.Transform4f().rotate(normal, 37)
+    here, there = (
+        in_plane(what, bsdf, ctx, si, wi, wo, u, normal)
+        for wi, wo in ((si.wi, bs.wo), (rotation @ si.wi, rotation @ bs.wo))
+    )
+    return here, there
+
+
+def in_the_world(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> tuple[Any, Any]:
+    """Matrices are the same where the surface is turned in the world."""
+    (bs, _), found = drawn(bsdf, ctx, si, u), []
+    for normal in ([0, 0, 1], [0.6, 0, 0.8]):
+        there = type(si)(si)
+        there.sh_frame = mi.Frame3f(normal)
+        found.append(per_first(np.array(what(bsdf, ctx, there, bs.wo, u))))
+    return found[0], found[1]
+
+
+def next_to(
+    bsdf: Any, ctx: Any, si: Any, u: Any, what: Any, *pairs: Any
+) -> tuple[Any, Any]:
+    """Matrices do not jump between two pairs of directions next to each other."""
+    found = []
+    for wi, wo in pairs:
+        there = lit_from(si, mi.Vector3f(wi) + dr.zeros(mi.Vector3f, dr.width(u)))
+        m = np.array(what(bsdf, ctx, there, mi.Vector3f(wo), u))
+        found.append(per_first(m))
+    return found[0], found[1]
+
 
 FRAMES = Question(
     "frames", __doc__, BIAS, POLARISING, rank=0, alone=True, matrices=SAME
@@ -103,7 +142,8 @@ def check_turned(
     text = f"elements over the first change by up to {misfit[worst]:.3g} where both "
     text += "directions turn about the normal,"
     how: dict[str, Any] = {"size": float(misfit[worst]), "off": float(wrong.mean())}
-    how |= {"found": text, "about": str(normal.round(9).tolist())}
+    given = answer_of(matrices.function), normal.round(9).tolist()
+    how |= {"found": text, "shown": Claim(turned, elements, given)}
     evidence.breach(FRAMES, guess, matrices.condition((worst, 0)), **how)
 
 
@@ -163,7 +203,8 @@ def check_world(
     text = f"elements over the first change by up to {size[worst]:.3g} where the "
     text += "surface is turned in the world,"
     how: dict[str, Any] = {"size": float(size[worst]), "off": float(wrong.mean())}
-    how |= {"found": text, "kind": MatrixKind.WORLD}
+    what = answer_of(here.function)
+    how |= {"found": text, "shown": Claim(in_the_world, elements, (what,))}
     evidence.breach(FRAMES, mistake(here.function), here.condition((worst,)), **how)
 
 
@@ -218,7 +259,8 @@ def check_jumps(
     text = f"elements over the first jump by {size[worst]:.3g} {where or 'at'} "
     text += f"({condition}), on {len(size)} of {n_paths} paths over the sphere"
     how: dict[str, Any] = {"size": float(size[worst]) / 2, "off": len(size) / n_paths}
-    how |= {"kind": MatrixKind.JUMP, "about": str(list(zip(wi, wo)))}
+    given = answer_of(matrices.function), *zip(wi, wo)
+    how["shown"] = Claim(next_to, elements, given)
     evidence.breach(FRAMES, guess, condition, statistic=text, **how)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import drjit as dr
@@ -13,9 +14,11 @@ from ...array_types import Flags, Floats
 from ...mitsuba_compat import floats
 from ...single_precision import BSDF_ROUNDING
 from ...specimen.bsdf_trial import PluginFault
-from ..conditions import Effort
+from ..arrays import answer_of, drawn, of_eval, parameters
+from ..conditions import Condition, Effort
 from ..evidence import INTERFACE, Evidence
-from ..mistakes import EVAL, PDF, Function, Kind
+from ..judgements import equal
+from ..mistakes import EVAL, EVAL_PDF, PDF, Claim, Function
 from ..probe import (
     Probe,
     as_plugin_fault,
@@ -34,6 +37,26 @@ from .parameters import (
     opaque,
     turns,
 )
+
+
+def gradient(
+    bsdf: Any, ctx: Any, si: Any, u: Any, what: Any, name: str
+) -> tuple[float, float]:
+    """By how much the sum of all answers changes with a parameter, and its gradient."""
+    (bs, _), params = drawn(bsdf, ctx, si, u), parameters(bsdf)
+
+    def total(x: Any) -> Any:
+        params.update({name: x})
+        return dr.sum(what(bsdf, ctx, si, bs.wo, u), axis=None)
+
+    x, flags = type(params[name])(params[name]), dr.ADFlag.AllowNoGrad
+    change = np.ravel(total(x + 1e-3) - total(x - 1e-3))[0] / 2e-3
+    dr.enable_grad(x)
+    forward = np.sum(dr.forward_to(total(x), flags=flags))
+    dr.backward(total(x), flags=flags)
+    found = [forward, np.sum(dr.grad(x))]
+    return change, max(found, key=lambda one: abs(one - change))
+
 
 # Relative steps of central differences, whose error falls with their square: where the
 # three do not agree, there is nothing to compare with.
@@ -58,8 +81,6 @@ N_ASKED = 2**10
 
 # The graph stays: all functions follow what an update has prepared.
 FLAGS = dr.ADFlag.ClearVertices | dr.ADFlag.AllowNoGrad
-
-EVAL_PDF = Function.EVAL_PDF
 
 # What functions answer, a value before a density.
 FUNCTIONS: Mapping[Function, Callable[[Probe, mi.Vector3f], tuple[Any, ...]]] = {
@@ -107,7 +128,8 @@ def check_samples(evidence: Evidence, plan: Effort, samples: Samples) -> None:
 
     Of ``eval`` forward, by each parameter; of all functions also backward, by all
     parameters at once, and by each where that shows something. The latter where
-    updates may be many.
+    updates may be many. In radiance mode, which is that of differentiable rendering,
+    over a sweep of incident directions and places, if that shows nothing.
     """
     try:
         params, values = number_parameters(evidence.bsdf, mi.TensorXf)
@@ -131,17 +153,42 @@ def check_samples(evidence: Evidence, plan: Effort, samples: Samples) -> None:
             closely = bool(wrong - {EVAL, EVAL_PDF} if EVAL in wrong else wrong)
         except PluginFault:
             closely = True  # by which?
+    at = samples.condition
+    _check_each(evidence, params, names, probe, wo, closely, at)
+    swept = evidence.sweeps[0]
+    usable = swept.smooth & np.isfinite(swept.eval).all(axis=1)
+    if evidence.of("parameters") or evidence.of_volumes or not usable.any():
+        return
+    own = np.flatnonzero(usable)[: 4 * N_ASKED]
+    sweep = replace(swept.condition, mode="radiance", fields=())
+    probe = Probe(evidence.bsdf, sweep).of_lanes(mi.UInt32(own))
+    at = replace(at, mode="radiance")
+    _check_each(evidence, params, names, probe, swept.wo[own], False, at)
+
+
+def _check_each(
+    evidence: Evidence,
+    params: Any,
+    names: Sequence[str],
+    probe: Probe,
+    wo: Floats,
+    closely: bool,
+    at: Condition,
+) -> None:
+    """Check gradients by each parameter; findings are told of a condition."""
     for name in names:
-        how: dict[str, Any] = {"kind": Kind.GRADIENT, "about": name}
         try:
             line = _Line(params, [name])
             for guess, text, size in _wrong_gradients(probe, line, wo, closely):
-                text, at = f"by {name}: {text}", samples.condition
-                evidence.breach(PARAMETERS, guess, at, found=text, size=size, **how)
+                text = f"by {name}: {text}"
+                shown = Claim(gradient, equal, (answer_of(guess.functions), name))
+                how = {"found": text, "size": size, "shown": shown}
+                evidence.breach(PARAMETERS, guess, at, **how)
         except PluginFault as fault:
             if fault.function == "parameters_changed":
                 continue  # a step beyond a range
-            evidence.breach_of_fault(PARAMETERS, fault, **how)
+            shown = Claim(gradient, equal, (of_eval, name))
+            evidence.breach_of_fault(PARAMETERS, fault, shown=shown)
 
 
 def _wrong_gradients(

@@ -1,13 +1,17 @@
 """All elements of matrices: functions agree, in both directions and transport modes."""
 
 from collections.abc import Sequence
+from typing import Any
 
+import mitsuba as mi
 import numpy as np
 
 from ...array_types import Flags, Floats
 from ...collector.stokes import EXCHANGE, UPRIGHT
+from ..arrays import answer_of, drawn, in_plane, lit_from, per_first
 from ..evidence import Evidence, Question
-from ..mistakes import EVAL, PDF, SAMPLE, Function, Guess, Kind, MatrixKind, Mistake
+from ..judgements import by_sample, elements, same
+from ..mistakes import EVAL, PDF, SAMPLE, Claim, Function, Guess, Mistake
 from ..mueller import (
     Lobes,
     Matrices,
@@ -20,10 +24,55 @@ from ..mueller import (
 from ..samples import beyond_rounding
 from .adjoint import ADJOINT
 from .answers import ANSWERS
-from .eval_pdf import EVAL_PDF
+from .eval_pdf import EVAL_PDF, PARTS, joint
 from .reciprocity import RECIPROCITY
 from .sampled_pdf import SAMPLED_PDF
 from .sampled_weight import SAMPLED_WEIGHT
+
+
+def proper(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> tuple[int, int]:
+    """Matrices are finite, and their first element is not negative."""
+    bs, _ = drawn(bsdf, ctx, si, u)
+    m = np.array(what(bsdf, ctx, si, bs.wo, u))
+    return int(np.sum(~np.isfinite(m)) + np.sum(m[0, 0] < 0)), 0
+
+
+def sampled_matrix(bsdf: Any, ctx: Any, si: Any, u: Any) -> tuple[Any, Any]:
+    """Weight times pdf is `eval`, in all elements."""
+    bs, weight = drawn(bsdf, ctx, si, u)
+    flux = np.array(weight) * np.array(bs.pdf)
+    return flux, np.array(bsdf.eval(ctx, si, bs.wo, True))
+
+
+def joint_matrix(bsdf: Any, ctx: Any, si: Any, u: Any) -> tuple[Any, Any]:
+    """`eval_pdf` answers as `eval`, in all elements."""
+    bs, _ = drawn(bsdf, ctx, si, u)
+    both = bsdf.eval_pdf(ctx, si, bs.wo, True)[0]
+    return np.array(both), np.array(bsdf.eval(ctx, si, bs.wo, True))
+
+
+def both_ways(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> tuple[Any, Any]:
+    """Helmholtz reciprocity, in all elements."""
+    bs, _ = drawn(bsdf, ctx, si, u)
+    there, back = (
+        in_plane(what, bsdf, ctx, si, wi, wo, u, [0, 0, 1])
+        for wi, wo in ((si.wi, bs.wo), (bs.wo, mi.Vector3f(si.wi)))
+    )
+    signs = [1, 1, -1, 1]
+    return there, np.einsum("jick,i,j->ijck", back, signs, signs)
+
+
+def both_modes(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> tuple[Any, Any]:
+    """Radiance mode answers as importance mode on the way back, in all elements."""
+    bs, _ = drawn(bsdf, ctx, si, u)
+    here, found, modes = mi.Vector3f(si.wi), [], mi.TransportMode
+    for mode, wi, wo in (
+        (modes.Radiance, here, bs.wo),
+        (modes.Importance, bs.wo, here),
+    ):
+        own, there = mi.BSDFContext(mode), lit_from(si, wi)
+        found.append(per_first(np.array(what(bsdf, own, there, wo, u))))
+    return found[0], found[1]
 
 
 class Matrix(Mistake):
@@ -71,8 +120,9 @@ def check_finite(evidence: Evidence, matrices: Matrices, at: str = "") -> None:
         (negative, Matrix.NEGATIVE, "a negative first element"),
     ):
         if (wrong := np.asarray(wrong)).any():
-            how = {"off": None} if at else {}
+            how: dict[str, Any] = {"off": None} if at else {}
             guess = mistake(matrices.function)
+            how["shown"] = Claim(proper, same, (answer_of(matrices.function),))
             evidence.breach(ANSWERS, guess, matrices, wrong, found=what + at, **how)
 
 
@@ -108,7 +158,8 @@ def check_sampled(
     guess = _difference_guess(flux.take(wrong), values.take(wrong), suspects)
     text = f"weight times pdf is off `eval` by up to {size[worst]:.3g} of the first "
     text += f"element, in element {place[0]}{place[1]},"
-    evidence.breach(SAMPLED_WEIGHT, guess, flux.by(size), wrong, found=text)
+    how = {"found": text, "shown": Claim(sampled_matrix, elements)}
+    evidence.breach(SAMPLED_WEIGHT, guess, flux.by(size), wrong, **how)
 
 
 def _difference_guess(
@@ -146,22 +197,26 @@ def check_eval_pdf(
     evidence: Evidence,
     values: Matrices,
     pdf: Floats,
-    joint: Matrices,
-    joint_pdf: Floats,
+    both: Matrices,
+    both_pdf: Floats,
     asked: Flags,
 ) -> None:
     """Check that ``eval_pdf`` answers as ``eval`` and ``pdf``, in all elements."""
     light = np.where(values.light > 0, values.light, 1)[..., None, None]
-    change = (np.abs(joint.raw - values.raw) / light).max(axis=(-1, -2, -3))
-    density = np.abs(joint_pdf - pdf) / np.maximum(np.maximum(joint_pdf, pdf), 1e-30)
-    for what, wrong, kind in (
-        ("values", asked & (change > ROUNDING), MatrixKind.EVAL_PDF),
-        ("densities", asked & (density > ROUNDING), Kind.EVAL_PDF),
+    change = (np.abs(both.raw - values.raw) / light).max(axis=(-1, -2, -3))
+    density = np.abs(both_pdf - pdf) / np.maximum(np.maximum(both_pdf, pdf), 1e-30)
+    for what, wrong, shown in (
+        ("values", asked & (change > ROUNDING), Claim(joint_matrix, elements)),
+        (
+            "densities",
+            asked & (density > ROUNDING),
+            Claim(joint, by_sample, PARTS["pdf"]),
+        ),
     ):
         if beyond_rounding(wrong):
             fields = {"what": what, "mode": values.in_mode}
             guess = Matrix.OTHER_VALUES(Function.EVAL_PDF, **fields)
-            how = {"off": None, "kind": kind, "about": "pdf"}
+            how: dict[str, Any] = {"off": None, "shown": shown}
             how["found"] = f"its {what} differ"
             evidence.breach(EVAL_PDF, guess, values, wrong, **how)
 
@@ -200,12 +255,14 @@ def _compare(
     wrong = size > ROUNDING + slack
     if not beyond_rounding(wrong):
         return
-    mistake = Matrix.NOT_RECIPROCAL
+    mistake, stated = Matrix.NOT_RECIPROCAL, both_ways
     if question is ADJOINT:
-        mistake = Matrix.OTHER_WAY
+        mistake, stated = Matrix.OTHER_WAY, both_modes
         if is_depolarised(m[wrong]):
             mistake = Matrix.DEPOLARISES_IN_RADIANCE
         elif is_depolarised(due[wrong]):
             mistake = Matrix.POLARISES_IN_RADIANCE
     text = f"elements over the first are off by up to {size[wrong].max():.3g}"
-    evidence.breach(question, mistake(one.function), one.by(size), wrong, found=text)
+    shown = Claim(stated, elements, (answer_of(one.function),))
+    how = {"found": text, "shown": shown}
+    evidence.breach(question, mistake(one.function), one.by(size), wrong, **how)

@@ -13,9 +13,30 @@ import numpy as np
 from ...array_types import Floats
 from ...mitsuba_compat import floats
 from ...specimen.bsdf_trial import PluginFault
+from ..arrays import (
+    Sides,
+    answer_of,
+    density,
+    drawn,
+    parameters,
+    rows,
+    smooth,
+    sphere,
+)
 from ..conditions import Condition, Effort, Sweep
-from ..evidence import BIAS, BREAKS, MAX_P, SAME, Breach, Evidence, Question
-from ..mistakes import EVAL, PDF, SAMPLE, Function, Guess, Kind, Mistake
+from ..densities import Means
+from ..evidence import (
+    BIAS,
+    BREAKS,
+    MAX_P,
+    SAME,
+    Breach,
+    Evidence,
+    Question,
+    answered,
+)
+from ..judgements import apart, by_sample, same
+from ..mistakes import EVAL, PDF, SAMPLE, Claim, Function, Guess, Mistake
 from ..probe import (
     Probe,
     changed,
@@ -25,6 +46,44 @@ from ..probe import (
 from ..samples import Samples, beyond_rounding, samples_of, unequal
 from . import answers
 from .consistency import check_identities, check_sweep
+from .sampled_pdf import sampled_pdf
+from .sampled_weight import sampled_weight
+
+
+def followed(
+    bsdf: Any, ctx: Any, si: Any, u: Any, stated: Any, name: str, to: Any
+) -> Any:
+    """A property holds after a change of a parameter."""
+    params = parameters(bsdf)
+    own = params[name]
+    other = dr.select(own == 0, 0.5, own / 2) if to is None else type(own)(to)
+    params[name] = other
+    params.update()
+    return stated(bsdf, ctx, si, u)
+
+
+def same_density(bsdf: Any, ctx: Any, si: Any, u: Any) -> Means:
+    """Samples have the density of `pdf`."""
+    # the mean of 1 / (1 + p) over directions of the density p is that of p / (1 + p)
+    # over even ones, whose density is 1
+    bs, weight = drawn(bsdf, ctx, si, u)
+    wos = bs.wo, sphere(u.y, u.z)
+    p, q = (4 * np.pi * density(bsdf, ctx, si, wo)[0] for wo in wos)
+    x, y = smooth(bs, weight) / (1 + p), q / (1 + q)
+    return np.mean(x), np.mean(y), np.std(x - y) / len(x) ** 0.5
+
+
+def returned(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> Sides:
+    """Answers return when all parameters do."""
+    bs, weight = drawn(bsdf, ctx, si, u)
+    before, params = rows(what(bsdf, ctx, si, bs.wo, u)), parameters(bsdf)
+    for factor in (0.5, 2):
+        for name, x in list(params):
+            if dr.is_array_v(x) and dr.is_float_v(x):
+                params[name] = factor * x
+        params.update()
+    return before, rows(what(bsdf, ctx, si, bs.wo, u)), smooth(bs, weight)
+
 
 PARAMETERS = Question(
     "parameters",
@@ -33,6 +92,7 @@ PARAMETERS = Question(
     "prb and all that change or differentiate parameters",
     volumes=SAME,
     rank=3,
+    shown=Claim(answered, same, ("traverse",)),
 )
 
 
@@ -54,10 +114,11 @@ GOLDEN = (5**0.5 - 1) / 2
 # Largest and smallest relative steps that all functions must follow, or steps of a 0.
 FAR, NEAR = 0.5, 2.0**-4
 
-# Values to which numbers go further: down if they went up, else halfway to 1, and to
-# the smallest roughness or share that is usual.
+# Values to which numbers go further: down if they went up, else halfway to 1, next to
+# 1, and to the smallest roughness or share that is usual.
 FURTHER: tuple[Callable[[Floats], Floats], ...] = (
     lambda x: np.where(np.abs(x) > 1, x / 2, np.sign(x) * (1 + np.abs(x)) / 2),
+    lambda x: np.where(np.abs(x) > 1, 1.25 * x, np.sign(x) * 0.98),
     lambda x: np.sign(x) * 1e-3,
 )
 
@@ -93,8 +154,37 @@ def check_changes(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> Non
     if own and not evidence.of("parameters"):
         guess = _blamed(own, Parameters.REMEMBERED)
         text = "another answer after parameters were changed and changed back"
-        how: dict[str, Any] = {"kind": Kind.UPDATE, "about": str(own[0])}
-        evidence.breach(PARAMETERS, guess, found=text, size=3.0, **how)
+        shown = _returned(own[0])
+        evidence.breach(PARAMETERS, guess, found=text, size=3.0, shown=shown)
+
+
+def check_instances(evidence: Evidence, load: Callable[[], mi.BSDF] | None) -> None:
+    """Check that answers stay where another instance is loaded, and is changed.
+
+    Of plugins in Python, whose class may keep what belongs to an instance.
+    """
+    plugin = type(getattr(evidence.bsdf, "phase_function", evidence.bsdf))
+    if load is None or plugin in (mi.BSDF, mi.PhaseFunction) or evidence.noisy:
+        return
+    biased = any(one.effect == BIAS for one in evidence.breaches)
+    if biased or evidence.of("answers"):
+        return  # it adds nothing, or `sample` draws numbers of its own
+    usual: Any = evidence.sweeps[0].condition
+    asked = replace(usual, n=N_UPDATED), N_UPDATED, (evidence.seed, 6), False
+    before = samples_of(evidence.bsdf, *asked)
+    try:
+        other = load()
+        values = _changeable(other)
+        with changed(other, {name: _other_value(x) for name, x in values.items()}):
+            own = _differing(evidence, before)
+    except PluginFault:
+        return  # of a value out of its range
+    for function in own:
+        guess = answers.Answers.OF_INSTANCE(function)
+        shown = Claim(answers.again, by_sample, (answer_of(function),))
+        how = {"found": "other values", "size": 2.0, "shown": shown}
+        evidence.breach(answers.ANSWERS, guess, usual, **how)
+        return
 
 
 def _check_values(
@@ -117,12 +207,13 @@ def _check_values(
         text = f"after a change of {name}: "
         if wrong := _breaches(found):
             text += wrong[0].statistic
-            evidence.breach(PARAMETERS, guess, found=text, size=2.0, about=name)
+            shown = _followed(guess.functions, name)
+            evidence.breach(PARAMETERS, guess, found=text, size=2.0, shown=shown)
         else:
             p = min(1.0, len(values) * _corrected_p(found))
             text += min(found.tests, key=lambda test: test.p).statistic
-            how = {"kind": Kind.DENSITY_AFTER_A_CHANGE, "about": name, "guess": guess}
-            evidence.test(PARAMETERS, p, text, **how)
+            shown = Claim(followed, apart, (same_density, name, None))
+            evidence.test(PARAMETERS, p, text, guess=guess, shown=shown)
         return
 
 
@@ -161,7 +252,8 @@ def _check_further(evidence: Evidence, plan: Effort, values: dict[str, Any]) -> 
                 function |= PDF  # `sample` is not stale for sure
             guess = Parameters.WRONG_AT(function, name=name, to=to)
             text = f"after a change of {name} to {to}: {wrong[0].statistic}"
-            evidence.breach(PARAMETERS, guess, found=text, size=2.0, about=name)
+            shown = _followed(function, name, np.ravel(np.array(others[name])).tolist())
+            evidence.breach(PARAMETERS, guess, found=text, size=2.0, shown=shown)
             return
 
 
@@ -192,6 +284,20 @@ def _blamed(own: Sequence[Function], mistake: Parameters, **fields: str) -> Gues
     return mistake(alone | Function.PARAMETERS_CHANGED, **fields)
 
 
+def _returned(function: Function) -> Claim:
+    """How a script shows that a function does not return with all parameters."""
+    return Claim(returned, by_sample, (answer_of(function),))
+
+
+def _followed(function: Function, name: str, to: Any = None) -> Claim:
+    """How a script shows that a function does not follow a parameter."""
+    of_density = function.names[0] in ("sample", "pdf")
+    stated = sampled_pdf if of_density else sampled_weight
+    if to is not None:
+        to = to[0] if len(to) == 1 else to
+    return Claim(followed, by_sample, (stated, name, to))
+
+
 def _check_updates(
     evidence: Evidence,
     values: dict[str, Any],
@@ -218,13 +324,13 @@ def _check_updates(
             raise
         if own:
             guess = _blamed(own, Parameters.UPDATE)
-            how: dict[str, Any] = {"kind": Kind.UPDATE, "about": str(own[0])}
+            shown = _returned(own[0])
             if name:
                 guess = _blamed(own, Parameters.STALE_ALONE, name=name)
                 guess = replace(guess, functions=own[0])
-                how = {"about": name}
+                shown = _followed(own[0], name)
             text = "another answer after an update of all parameters"
-            evidence.breach(PARAMETERS, guess, found=text, size=3.0, **how)
+            evidence.breach(PARAMETERS, guess, found=text, size=3.0, shown=shown)
             return
 
 

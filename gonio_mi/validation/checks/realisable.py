@@ -1,13 +1,30 @@
 """Each matrix is that of a real surface (Cloude)."""
 
+from typing import Any
+
 import numpy as np
 
 from ...array_types import Flags, Floats
 from ...collector.stokes import coherency_eigenvalues
+from ..arrays import answer_of, drawn, per_first
 from ..evidence import BIAS, POLARISING, SAME, Evidence, Question
-from ..mistakes import Function, Guess, Mistake
+from ..judgements import same
+from ..mistakes import Claim, Function, Guess, Mistake
 from ..mueller import Matrices, per_light
 from ..samples import beyond_rounding
+
+
+def realisable(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> tuple[int, int]:
+    """No eigenvalue of Cloude's coherency matrix, of Jones matrices, is negative."""
+    bs, _ = drawn(bsdf, ctx, si, u)
+    m = np.nan_to_num(np.array(what(bsdf, ctx, si, bs.wo, u)))
+    m = per_first(m.reshape(4, 4, -1))
+    pauli = np.array([[1, 0, 0, 1], [1, 0, 0, -1], [0, 1, 1, 0], [0, -1j, 1j, 0]])
+    pauli = pauli.reshape(4, 2, 2)
+    coherency = np.einsum("ijk,iab,jcd->kacbd", m, pauli, pauli.conj()) / 4
+    least = np.linalg.eigvalsh(coherency.reshape(-1, 4, 4))[:, 0]
+    return int(np.sum(least < -5e-4)), 0
+
 
 # Eigenvalue over the trace that rounding may leave below 0: a few times that of
 # elements, in single precision.
@@ -64,7 +81,8 @@ def check_matrices(evidence: Evidence, matrices: Matrices, asked: Flags) -> None
     text = "an eigenvalue of the coherency matrix is down to "
     text += f"{-size:.3g} of their sum, and negative"
     at = chosen.by(-least), wrong
-    evidence.breach(REALISABLE, guess, *at, found=text, size=size)
+    shown = Claim(realisable, same, (answer_of(chosen.function),))
+    evidence.breach(REALISABLE, guess, *at, found=text, size=size, shown=shown)
 
 
 def _guess(function: Function, m: Floats) -> Guess:

@@ -3,17 +3,58 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
 from ...array_types import Flags, Floats
 from ...single_precision import BSDF_ROUNDING
+from ..arrays import (
+    Sides,
+    drawn,
+    lit_from,
+    opposite,
+    rows,
+    smooth,
+    value,
+)
+from ..densities import Means
 from ..evidence import ALL, BIAS, BREAKS, FROM_LIGHTS, MODEL, Evidence, Question
-from ..mistakes import EVAL, SAMPLE, Guess, Kind, Mistake
+from ..judgements import apart, by_sample
+from ..mistakes import EVAL, SAMPLE, Claim, Guess, Mistake
 from ..probe import Probe, numbers, spectral
 from ..samples import Samples, beyond_rounding, samples_of, unequal
-from .delta import DIRECTION_ROUNDING, Lobe
+from .delta import DIRECTION_ROUNDING, Lobe, first_lobe
+
+
+def exchanged(bsdf: Any, ctx: Any, si: Any, u: Any, other: Any) -> Sides:
+    """`eval` over the cosine, and on the way back in another context."""
+    bs, weight = drawn(bsdf, ctx, si, u)
+    cos_i, cos_o = (np.fmax(np.abs(rows(w.z)), 1e-30) for w in (si.wi, bs.wo))
+    back = value(bsdf, other, lit_from(si, bs.wo), si.wi) / cos_i
+    there = value(bsdf, ctx, si, bs.wo) / cos_o
+    return there, back, smooth(bs, weight) & (cos_o[0] > 1e-3)
+
+
+def both_ways(bsdf: Any, ctx: Any, si: Any, u: Any) -> Sides:
+    """Light goes both ways alike, with a factor eta^2 in transmission."""
+    there, back, counts = exchanged(bsdf, ctx, si, u, ctx)
+    bs, _ = drawn(bsdf, ctx, si, u)
+    eta = np.where(rows(bs.wo.z * si.wi.z) < 0, rows(bs.eta), 1)
+    return there, back * eta**2, counts
+
+
+def lobe_both_ways(bsdf: Any, ctx: Any, si: Any, u: Any) -> Means:
+    """A discrete lobe has as much light as on its way back."""
+    bs, weight = drawn(bsdf, ctx, si, u)
+    own, wo = first_lobe(bs), np.array(bs.wo) + np.zeros(np.shape(u))
+    x, way = rows(weight).mean(axis=0) * own, mi.Vector3f(wo[:, [own.argmax()]])
+    bs, weight = drawn(bsdf, ctx, lit_from(si, way + 0 * u), u)
+    same = np.all(np.abs(np.array(bs.wo) - np.array(si.wi)) < 1e-3, axis=0)
+    y = rows(weight).mean(axis=0) * same
+    return np.mean(x), np.mean(y), np.std(x - y) / len(own) ** 0.5
+
 
 RECIPROCITY = Question(
     "reciprocity",
@@ -23,6 +64,7 @@ RECIPROCITY = Question(
     volumes="Helmholtz reciprocity",
     matrices="Helmholtz reciprocity, in all elements",
     rank=2,
+    shown=Claim(both_ways, by_sample),
 )
 
 
@@ -76,23 +118,25 @@ class BothWays:
         return self.forward[mask].sum(axis=1) / below
 
 
-def both_ways(samples: Samples) -> BothWays | None:
+def ways_of(samples: Samples) -> BothWays | None:
     """Values both ways; None if there are none, or in radiance mode."""
     if samples.condition.mode != "importance":
         return None
     cos_i, cos_o = abs(samples.condition.wi[2]), np.abs(samples.wo[:, 2])
     smooth = samples.smooth & (cos_o > 1e-4)
-    for value in (samples.eval, samples.reverse, samples.reverse_other_mode):
-        smooth = smooth & np.isfinite(value).all(axis=1)
+    for answer in (samples.eval, samples.reverse, samples.reverse_other_mode):
+        smooth = smooth & np.isfinite(answer).all(axis=1)
     if not smooth.any():
         return None
     cos_o = np.where(smooth, cos_o, 1.0)[:, None]
+    ctx = samples.condition.context
+    forward, backward, _ = samples.hold(exchanged, ctx)
     return BothWays(
         samples,
         smooth,
-        samples.eval / cos_o,
-        samples.reverse / cos_i,
-        samples.reverse_other_mode / cos_i,
+        forward,
+        backward,
+        samples.hold(exchanged, opposite(ctx))[1],
         samples.eval_slack / cos_o + samples.reverse_slack / cos_i,
         # reflection has no index, whatever a plugin says
         np.where(samples.reflected, 1.0, samples.eta**2)[:, None],
@@ -220,7 +264,7 @@ def check_lobe(evidence: Evidence, lobe: Lobe, key: tuple[int, ...]) -> bool:
     elif _is_nonsymmetric(evidence.bsdf, lobe.kind, samples.condition.component):
         evidence.declared["reciprocity"] = f"{text}, declared as NonSymmetric"
         return False
-    how = {"effect": effect, "kind": Kind.RECIPROCITY_OF_A_LOBE}
+    how = {"effect": effect, "shown": Claim(lobe_both_ways, apart)}
     where = samples.condition
     evidence.breach(RECIPROCITY, mistake(SAMPLE), where, statistic=text, **how)
     return False

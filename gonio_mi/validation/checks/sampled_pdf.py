@@ -1,11 +1,29 @@
 """The pdf that `sample` returns is that of `pdf`."""
 
+from typing import Any
+
+from ..arrays import Sides, density, drawn, rows, smooth
 from ..evidence import BIAS, COMBINED, SAME, Evidence, Question
-from ..mistakes import SAMPLE, Mistake
+from ..judgements import by_sample
+from ..mistakes import SAMPLE, Claim, Mistake
 from ..samples import Samples, ratio_of, unequal
 
+
+def sampled_pdf(bsdf: Any, ctx: Any, si: Any, u: Any) -> Sides:
+    """The pdf that `sample` returns is that of `pdf`."""
+    bs, weight = drawn(bsdf, ctx, si, u)
+    return rows(bs.pdf), density(bsdf, ctx, si, bs.wo), smooth(bs, weight)
+
+
 SAMPLED_PDF = Question(
-    "sampled_pdf", __doc__, BIAS, COMBINED, volumes=SAME, identity=True, matrices=SAME
+    "sampled_pdf",
+    __doc__,
+    BIAS,
+    COMBINED,
+    volumes=SAME,
+    identity=True,
+    matrices=SAME,
+    shown=Claim(sampled_pdf, by_sample),
 )
 
 
@@ -21,7 +39,8 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
     lit = samples.usable & (samples.eval != 0).any(axis=1)
     if not lit.any():
         return
-    wrong = unequal(samples.sampled_pdf, samples.pdf, samples.pdf_slack) & lit
-    found = ratio_of(samples.sampled_pdf, samples.pdf), "its pdf over `pdf`"
+    own, due, _ = samples.hold(sampled_pdf)
+    wrong = unequal(own, due, samples.pdf_slack[:, None]) & lit
+    found = ratio_of(own, due), "its pdf over `pdf`"
     guess = SampledPdf.OTHER(SAMPLE)
     evidence.breach_of_ratio(SAMPLED_PDF, guess, samples, wrong, *found)

@@ -13,19 +13,29 @@ from scipy import special
 from ...array_types import Flags, Floats, Integers
 from ...collector.directions import direction
 from ...single_precision import BSDF_ROUNDING
+from ..arrays import of_pdf
 from ..conditions import Condition, Sweep
+from ..densities import directions, in_box, total
 from ..evidence import BIAS, COMBINED, INTERFACE, MAX_P, NOISE, SAME, Evidence, Question
 from ..factors import OF_WEIGHT, has_known_factor, ratios_of
 from ..integrals import SUM_ERROR
+from ..judgements import apart
 from ..maps import FourMaps, skew_score, unexplained_fraction
-from ..mistakes import PDF, SAMPLE, Function, Kind, Mistake
+from ..mistakes import PDF, SAMPLE, Claim, Function, Mistake
 from ..probe import Probe, is_delta, numbers, spectral, uniform, vectors
-from ..samples import samples_of
+from ..samples import beyond_rounding, samples_of
 from .answers import lattice
 from .weights import WEIGHTS, check_scores
 
 SAMPLING = Question(
-    "sampling", __doc__, BIAS, COMBINED, volumes=SAME, identity=True, needed=True
+    "sampling",
+    __doc__,
+    BIAS,
+    COMBINED,
+    volumes=SAME,
+    identity=True,
+    needed=True,
+    shown=Claim(in_box, apart, (directions,)),
 )
 
 
@@ -67,7 +77,8 @@ def check_maps(evidence: Evidence, maps: FourMaps) -> None:
     used, unused = maps.pdf.sum(), maps.due.unused.values.sum()
     slack = max(maps.pdf_sum_bound, SUM_ERROR) + maps.due.unused.sum_bound
     if used + unused > 1 + slack:
-        mass, how = used + unused, {"kind": Kind.MASS, "of_flux": True}
+        shown = Claim(total, apart, (of_pdf, 1))
+        mass, how = used + unused, {"shown": shown, "of_flux": True}
         dark = ""
         if used <= 1 + slack:
             how["effect"] = INTERFACE
@@ -86,7 +97,7 @@ def check_unsampled_side(evidence: Evidence, condition: Condition) -> None:
     mass = 4 * np.pi * float(np.nan_to_num(density, nan=0).mean())
     if mass > 0:
         how = {"found": f"`pdf` integrates to {mass:.3g}", "size": mass}
-        how |= {"effect": INTERFACE, "kind": Kind.MASS_OF_A_DARK_SIDE}
+        how |= {"effect": INTERFACE, "shown": Claim(total, apart, (of_pdf, 0))}
         evidence.breach(SAMPLING, Sampling.DARK_SIDE(PDF), condition, **how)
 
 
@@ -99,15 +110,19 @@ def check_sweep(evidence: Evidence, sweep: Sweep, key: tuple[int, ...]) -> None:
     """
     n, probe = sweep.n, Probe(evidence.bsdf, sweep)
     bs, weight = probe.sample(*uniform(n, (*key, 1)))
-    drawn, even = spectral(bs.wo, n), _even_directions(evidence.bsdf, sweep, key)
+    drawn = spectral(bs.wo, n)
     given = (spectral(weight, n) != 0).any(axis=1) & ~numbers(is_delta(bs), n)
     given &= np.isfinite(drawn).all(axis=1)
+    # whatever `flags` declares, which is a property of its own
+    crossing = given & (drawn[:, 2] * sweep.wi[:, 2] < 0)
+    through = _transmits(evidence.bsdf) or beyond_rounding(crossing)
+    even = _even_directions(sweep, through, key)
     asked = np.where(given[:, None], drawn, sweep.wi)
     pdf, lit = _densities(probe, asked, given)
     pdf_even, _ = _densities(probe, even, np.ones(n, dtype=bool))
     if not (lit.any() or pdf_even.any()):
         return
-    u = 1 / (4 * np.pi if _transmits(evidence.bsdf) else 2 * np.pi)
+    u = 1 / (4 * np.pi if through else 2 * np.pi)
     terms = [lit * u / (pdf + u), pdf_even / (pdf_even + u)]
     cells = _cells(sweep)
     weighed = [_weighings(sweep, wo, x) for wo, x in zip((drawn, even), terms)]
@@ -155,10 +170,10 @@ def _transmits(bsdf: mi.BSDF) -> bool:
     return bool(int(bsdf.flags()) & int(mi.BSDFFlags.Transmission))
 
 
-def _even_directions(bsdf: mi.BSDF, sweep: Sweep, key: tuple[int, ...]) -> Floats:
+def _even_directions(sweep: Sweep, through: bool, key: tuple[int, ...]) -> Floats:
     """Directions of uniform density over the sphere, or over the lit hemisphere."""
     random = np.random.default_rng([*key, 2])
-    low = -1 if _transmits(bsdf) else 0
+    low = -1 if through else 0
     z, phi = random.uniform(low, 1, sweep.n), random.uniform(0, 2 * np.pi, sweep.n)
     wo = direction(np.arccos(z), phi)
     wo[:, 2] *= np.sign(sweep.wi[:, 2])

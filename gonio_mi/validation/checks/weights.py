@@ -1,18 +1,31 @@
 """The mean of sampled weights is the integral of `eval`."""
 
+from typing import Any
+
 import numpy as np
 
+from ...array_types import Floats
+from ..arrays import of_eval
 from ..conditions import Condition
-from ..evidence import BIAS, MINOR, NOISE, SAME, SAMPLED, Evidence, Question
+from ..densities import all_around, directions, in_box, total, weights
+from ..evidence import BIAS, MAX_P, MINOR, NOISE, SAME, SAMPLED, Evidence, Question
 from ..integrals import SUM_ERROR
+from ..judgements import apart, most_apart
 from ..maps import FourMaps, unexplained_fraction, unexplained_light
-from ..mistakes import EVAL, PDF, Kind, Mistake
+from ..mistakes import EVAL, PDF, SAMPLE, Claim, Mistake
 from ..probe import Probe
 from ..samples import Samples, beyond_rounding
 from .answers import lattice
 
 WEIGHTS = Question(
-    "weights", __doc__, BIAS, SAMPLED, volumes=SAME, identity=True, needed=True
+    "weights",
+    __doc__,
+    BIAS,
+    SAMPLED,
+    volumes=SAME,
+    identity=True,
+    needed=True,
+    shown=Claim(in_box, apart, (weights,)),
 )
 
 
@@ -21,6 +34,7 @@ class Weights(Mistake):
 
     DARK = "{who} is 0 where `sample` scatters light"
     DARK_AND_IMPOSSIBLE = "{who} and `pdf` are 0 where `sample` scatters light"
+    ALL_FAIL = "{who} always fails where `pdf` integrates to {mass:.3g}"
     DARK_SIDE = """{who} scatters light from a side that `flags` does not declare, and
         `sample` none"""
     NOT_SAMPLED = "`eval` sends {part:.3g} of its light where `pdf` is 0"
@@ -32,6 +46,9 @@ class Weights(Mistake):
 # of Mitsuba's facets does), the light of `eval` is a matter of tails, not of a hole.
 UNDERFLOW = 1e-12
 
+# Mass of a density that a few thousand samples do not miss.
+MIN_MASS = 0.01
+
 # Fraction of the light that must be judged for a verdict on weights.
 MIN_JUDGED = 0.9
 
@@ -41,7 +58,7 @@ def check_scores(evidence: Evidence, maps: FourMaps, question: Question) -> None
     scores, texts = maps.scores(question.name), maps.scores(question.name).statistics
     off, _ = unexplained_fraction(maps, question.name)
     if off * abs(maps.condition.wi[2]) < MINOR:
-        off = max(off, unexplained_light(maps, question.name))
+        off = max(off, unexplained_light(maps, question.name, MAX_P))
     for view, p in scores.p_values.items():
         how = {"off": off, "of_flux": True}
         evidence.test(question, p, texts[view], maps.condition, **how)
@@ -66,10 +83,29 @@ def check_unsampled_side(evidence: Evidence, condition: Condition) -> bool:
     value = np.nan_to_num(Probe(evidence.bsdf, condition).values(lattice()), nan=0)
     light = 4 * np.pi * float(value.mean(axis=0).max())
     if light > 0:
-        how = {"size": light, "off": min(light, 1.0), "kind": Kind.LIGHT_OF_A_DARK_SIDE}
+        how: dict[str, Any] = {"size": light, "off": min(light, 1.0)}
+        how["shown"] = Claim(total, apart, (of_eval, 0))
         how["found"] = f"{light:.3g} of the light"
         evidence.breach(WEIGHTS, Weights.DARK_SIDE(EVAL), condition, **how)
     return light == 0
+
+
+def check_unsampled(
+    evidence: Evidence, samples: Samples, values: Floats, densities: Floats
+) -> None:
+    """Check that some samples do not fail where much of ``pdf`` is illuminated.
+
+    `values` and `densities` are answers on the lattice of directions.
+    """
+    lit = np.nan_to_num(values).max(axis=1) > 0
+    mass = 4 * np.pi * float(np.mean(np.nan_to_num(densities) * lit))
+    if samples.given.any() or mass < MIN_MASS or evidence.noisy:
+        return
+    guess, at = Weights.ALL_FAIL(SAMPLE, mass=mass), samples.condition
+    found = f"no direction from {samples.n} random numbers"
+    shown = Claim(all_around, most_apart, (directions,))
+    how = {"found": found, "size": 1.0, "off": 1.0, "shown": shown}
+    evidence.breach(WEIGHTS, guess, at, **how)
 
 
 @WEIGHTS.asks("maps")

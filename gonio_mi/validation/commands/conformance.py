@@ -2,7 +2,7 @@
 
 Check the functions of Mitsuba's own BSDFs and phase functions for consistency under
 several installed versions, and write a page: a row for each set of parameters, a column
-for each version, and for each inconsistency a script of at most 20 lines.
+for each version, and for each inconsistency a script of at most 40 lines.
 
 examples:
   python3 -m venv old && old/bin/pip install mitsuba==3.8.0 numpy

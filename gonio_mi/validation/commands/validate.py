@@ -19,6 +19,7 @@ could not be loaded in the unpolarised variant.
 
 import argparse
 import contextlib
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -64,7 +65,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     text = "Probability with which a correct plugin fails."
     add_number(parser, "--alpha", "P", text, 1e-3)
     add_text(parser, "--report", "HTML", "Write a page with verdict and maps.")
-    text = "Write the worst failure as a script of at most 20 lines, without gonio_mi."
+    text = "Write the worst failure as a script of at most 40 lines, without gonio_mi."
     add_text(parser, "--reproducer", "PY", text)
     add_json(parser)
     add_scene_options(parser, VARIANTS)
@@ -83,7 +84,10 @@ def run(options: argparse.Namespace) -> int:
     threads = Effort.named(options.effort).threads
     if threads and is_program():  # a script's threads are its own
         dr.set_thread_count(threads)
-    verdicts, skipped = _verdicts(options)
+    # JSON is the only output, whatever a plugin prints
+    to = contextlib.redirect_stdout(sys.stderr)
+    with to if options.json else contextlib.nullcontext():
+        verdicts, skipped = _verdicts(options)
     # FAILED before UNDECIDED before passed: the user has to know of failures first
     verdict = min(verdicts, key=lambda one: (one.passed, bool(one.undecided)))
     others = [one for one in verdicts if one is not verdict]

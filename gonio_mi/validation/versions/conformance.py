@@ -1,6 +1,6 @@
 """The conformance table: stock plugins under installed versions, by plain scripts.
 
-Each property is asked by a script of at most 20 lines, most of them those that
+Each property is asked by a script of at most 40 lines, most of them those that
 :mod:`gonio_mi.validation.reproducers` writes for a failure, so that what is red comes
 with its reproducer. The other version's environment needs nothing but Mitsuba and
 NumPy.
@@ -29,26 +29,28 @@ from ...campaigns.measure import measure
 from ...errors import SettingError, SpecimenError
 from ...progress import bar
 from ...reports.page import folded, preformatted, save_page, table
-from ..questions import PHASE, PROPERTIES
-from ..reproducers import ANYWHERE, by_lattices, in_two_variants, script, source_of
+from ..arrays import of_eval, of_weight
+from ..questions import OF_SURFACES as SURFACES, OF_VOLUMES as VOLUMES
+from ..reproducers import ANYWHERE, by_lattices, script, source_of
 from ..verdict import FAILS, Property, Verdict
 from .asking import answers_of
+from .scalar_code import in_two_variants
 from .stock import bsdfs, phase_functions, word_of
 
-# What is asked: property, angle of incidence, function, and which of its answers.
-QUESTIONS = (
-    ("answers", 60, "eval", "value"),
-    ("answers", 60, "sample", "weight"),
-    *(("sampling", theta_i, "pdf", "") for theta_i in (20, 60, 80)),
-    *(("weights", theta_i, "sample", "") for theta_i in (20, 60)),
-    ("sampled_pdf", 60, "sample", ""),
-    ("sampled_weight", 60, "sample", ""),
-    ("reciprocity", 50, "eval", ""),
-    ("adjoint", 50, "eval", ""),
-    ("components", 50, "eval", ""),
-    ("flags", 50, "flags", ""),
-    ("masks", 50, "sample", ""),
-    ("ends", 50, "sample", "weight"),
+# What is asked: property, angle of incidence, function, and what of the property.
+QUESTIONS: tuple[tuple[str, int, str, tuple[Any, ...]], ...] = (
+    ("answers", 60, "eval", (of_eval,)),
+    ("answers", 60, "sample", (of_weight,)),
+    *(("sampling", theta_i, "pdf", ()) for theta_i in (20, 60, 80)),
+    *(("weights", theta_i, "sample", ()) for theta_i in (20, 60)),
+    ("sampled_pdf", 60, "sample", ()),
+    ("sampled_weight", 60, "sample", ()),
+    ("reciprocity", 50, "eval", ()),
+    ("adjoint", 50, "eval", ()),
+    ("components", 50, "eval", ()),
+    ("flags", 50, "flags", ()),
+    ("masks", 50, "sample", (of_weight,)),
+    ("ends", 50, "sample", (of_weight,)),
 )
 
 # What is asked of surfaces only: no phase function of Mitsuba heeds a mask, and
@@ -158,10 +160,11 @@ def _of_properties(
     verdict: Verdict, plugin: str, volumes: bool
 ) -> Iterator[tuple[str, str]]:
     """Names and scripts of all questions about one plugin."""
-    known = set(PHASE) - set(OF_SURFACES) if volumes else set(PROPERTIES)
-    known -= {"reciprocity", "adjoint"} if plugin in NOT_RECIPROCAL else set()
-    for name, theta_i, function, about in QUESTIONS:
-        if name not in known:
+    asked = {one.name: one.shown for one in (VOLUMES if volumes else SURFACES)}
+    left_out = {*OF_SURFACES} if volumes else set()
+    left_out |= {"reciprocity", "adjoint"} if plugin in NOT_RECIPROCAL else set()
+    for name, theta_i, function, given in QUESTIONS:
+        if name in left_out or (claim := asked.get(name)) is None:
             continue
         found = Property(
             name,
@@ -169,7 +172,7 @@ def _of_properties(
             "",
             function=function,
             condition=replace(ANYWHERE, theta_i=theta_i),
-            about=about,
+            shown=replace(claim, given=given or claim.given),
             of_volumes=volumes,
         )
         write = by_lattices if name in ("sampling", "weights") else script
