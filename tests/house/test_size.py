@@ -13,28 +13,28 @@ import lines
 
 # Lines of code: none blank, no comment, no docstring. `python tests/tools/lines.py`.
 BUDGET = {
-    "collector": 922,
-    "settings": 606,
-    "results": 2711,
-    "files": 1471,
-    "surfaces": 789,
-    "plots": 827,
-    "specimen": 2040,
-    "transport": 2138,
-    "quadrature": 704,
-    "estimators": 957,
-    "instrument": 1062,
-    "campaigns": 634,
-    "plugins": 1024,
-    "reports": 241,
-    "commands": 1155,
-    "entrance": 988,
-    "materials": 2685,
-    "exchange": 3808,
-    "analysis": 4576,
-    "validation": 9168,
+    "collector": 926,
+    "settings": 630,
+    "results": 3005,
+    "files": 1547,
+    "surfaces": 822,
+    "plots": 872,
+    "specimen": 2170,
+    "transport": 2992,
+    "quadrature": 745,
+    "estimators": 1317,
+    "instrument": 1364,
+    "campaigns": 651,
+    "plugins": 858,
+    "reports": 237,
+    "commands": 1175,
+    "entrance": 994,
+    "materials": 2774,
+    "exchange": 3811,
+    "analysis": 5123,
+    "validation": 9865,
 }
-CORE, WHOLE = 18269, 38506
+CORE, WHOLE = 20305, 41878
 
 # What a room may have beyond its budget.
 SLACK = 1.03
