@@ -19,8 +19,9 @@ Sides: TypeAlias = tuple[Any, Any, Any]
 
 def rows(answer: Any) -> Any:
     """Channels in double precision; of Mueller matrices the first element."""
-    found = np.array(answer, float)
-    return np.atleast_2d(found[0, 0] if found.ndim == 4 else found)
+    answer = answer[0, 0] if dr.is_matrix_v(answer) else answer
+    each = [answer] if dr.depth_v(answer) < 2 else answer
+    return np.array(np.broadcast_arrays(*(np.array(x, float) for x in each)))
 
 
 def drawn(bsdf: Any, ctx: Any, si: Any, u: Any, active: Any = True) -> Any:
@@ -73,9 +74,8 @@ def parameters(bsdf: Any) -> Any:
 
 def opposite(ctx: Any) -> Any:
     """Context of the other transport mode."""
-    mode = mi.TransportMode
-    other = mode.Importance if ctx.mode == mode.Radiance else mode.Radiance
-    return mi.BSDFContext(other, ctx.type_mask, ctx.component)
+    modes = mi.TransportMode.Radiance, mi.TransportMode.Importance
+    return mi.BSDFContext(modes[ctx.mode == modes[0]], ctx.type_mask, ctx.component)
 
 
 def lattices(n: int) -> Any:

@@ -69,9 +69,8 @@ def by_lattices(bsdf: Any, ctx: Any, si: Any, u: Any, of: Any) -> Means:
     both, n = [], dr.width(u)
     shifts = np.random.default_rng(0).random((16, 3, 1))
     steps = [[1 / n], [0.618034], [0.754878]]
-    for points in (np.arange(n) * steps + shifts) % 1 * (1 - 2**-24):
-        at, counted, due = of(bsdf, ctx, si, mi.Point3f(points))
-        wo = sphere(*points[:2])
+    for p in (np.arange(n) * steps + shifts) % 1 * (1 - 2**-24):
+        (at, counted, due), wo = of(bsdf, ctx, si, mi.Point3f(p)), sphere(p[0], p[1])
         x, y = counted * np.nan_to_num(moments(at)), due(wo) * moments(wo)
         both.append([np.mean(x, axis=1), 4 * np.pi * np.mean(y, axis=1)])
     off = np.std(np.diff(both, axis=1)[:, 0], axis=0) / 15**0.5

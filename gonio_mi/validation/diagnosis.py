@@ -141,7 +141,7 @@ def _without_counts(evidence: Evidence, failed: Mapping[str, str]) -> Guess | No
 def _difference(evidence: Evidence) -> float:
     """Root mean square of the pdf of ``sample`` over that of ``pdf``, less 1."""
     each = []
-    for samples in evidence.whole:
+    for samples in (*evidence.whole, *evidence.sweeps):
         own = samples.usable & (samples.pdf > 0)
         ratio = samples.sampled_pdf[own] / samples.pdf[own]
         each.append(np.mean((ratio - 1) ** 2) if own.any() else 0.0)

@@ -25,6 +25,7 @@ from ..files import replacing
 from ..single_precision import BSDF_ROUNDING
 from ..specimen.specimen_text import with_real_indices
 from ..variants import unpolarised
+from .checks.ends import at_ends, length_at_ends
 from .checks.first_element import first_element
 from .conditions import POSITION, TURN, Condition, Sweep
 from .densities import (
@@ -249,6 +250,8 @@ def _setting(
     kind = "PhaseFunction" if of_volumes else "BSDF"
     chance = claim.judge in OF_CHANCE and claim.stated is not lattices_of
     count = "2**20" if chance else "2**16"
+    if claim.stated in (at_ends, length_at_ends):  # which have numbers of their own
+        count = "27"
     mode = f"mi.TransportMode.{condition.mode.capitalize()}"
     given = f"None, {mode}" if of_volumes else mode
     kinds = "Medium" if of_volumes else "Surface"
@@ -261,23 +264,24 @@ def _setting(
         f"si = dr.zeros(mi.{kinds}Interaction3f, n)",
     ]
     wi = f"mi.Vector3f({', '.join(map(str, condition.wi.round(8).tolist()))}) + 0 * u"
-    if of_volumes:
-        lines.append(f"si.wi = {wi}")
-    else:
-        frame = f"mi.Frame3f({', '.join(map(str, axes))})"
-        lines.append(f"si.wi, si.sh_frame = {wi}, {frame}")
+    fields = {"wi": wi}
+    if not of_volumes:
+        fields["sh_frame"] = f"mi.Frame3f({', '.join(map(str, axes))})"
+    if mi.is_spectral:
+        fields["wavelengths"] = f"mi.UnpolarizedSpectrum({list(condition.nm)})"
+    placed = {}
+    if textured:
+        placed["uv"] = "mi.Point2f({}, {})".format(*condition.uv)
+        placed |= {"dp_du": "2 * si.sh_frame.s", "dp_dv": "2 * si.sh_frame.t"}
+    if (textured or of_volumes) and condition.turned:
+        placed["p"] = f"mi.Point3f({POSITION.tolist()})"
+    for own in filter(None, (fields, placed)):
+        names = ", ".join(f"si.{name}" for name in own)
+        lines.append(f"{names} = {', '.join(own.values())}")
     if condition.component is not None:
         lines.append(f"ctx.component = {condition.component}")
-    if textured:
-        uv = "{}, {}".format(*condition.uv)
-        beside = "2 * si.sh_frame.s, 2 * si.sh_frame.t"
-        lines.append(f"si.uv, si.dp_du, si.dp_dv = mi.Point2f({uv}), {beside}")
-    if (textured or of_volumes) and condition.turned:
-        lines.append(f"si.p = mi.Point3f({POSITION.tolist()})")
     if condition.differentials:
         lines.append("si.duv_dx, si.duv_dy = [0.3, 0.1], [-0.1, 0.2]")
-    if mi.is_spectral:
-        lines.append(f"si.wavelengths = mi.UnpolarizedSpectrum({list(condition.nm)})")
     return "\n".join([*lines, *_fields(condition, of_volumes)]) + "\n"
 
 

@@ -128,7 +128,7 @@ def test_mistake_is_found_and_named(name):
     assert verdict.failures[0].name == first
     text = reproducer(verdict)
     assert is_short(text)
-    if name not in ("of_the_class", "far_darker", "detached"):
+    if name not in ("of_the_class", "far_darker"):
         assert told(text) > 1, text
 
 

@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ...array_types import Flags, Floats
+from ...array_types import Flags, Floats, Integers
 from ...mitsuba_compat import floats
 from ...single_precision import BSDF_ROUNDING
 from ...specimen.bsdf_trial import PluginFault
@@ -148,13 +148,13 @@ def check_samples(evidence: Evidence, plan: Effort, samples: Samples) -> None:
     if closely and len(names) > 1:
         try:
             found = _wrong_gradients(probe, _Line(params, names), wo[:N_ASKED], True)
-            wrong = {guess.functions for guess, _, _ in found}
+            wrong = {guess.functions for guess, *_ in found}
             # what `eval_pdf` says of a wrong `eval` is no news
             closely = bool(wrong - {EVAL, EVAL_PDF} if EVAL in wrong else wrong)
         except PluginFault:
             closely = True  # by which?
-    at = samples.condition
-    _check_each(evidence, params, names, probe, wo, closely, at)
+    own = np.flatnonzero(usable)
+    _check_each(evidence, params, names, probe, wo, closely, samples.condition, own)
     swept = evidence.sweeps[0]
     usable = swept.smooth & np.isfinite(swept.eval).all(axis=1)
     if evidence.of("parameters") or evidence.of_volumes or not usable.any():
@@ -162,8 +162,7 @@ def check_samples(evidence: Evidence, plan: Effort, samples: Samples) -> None:
     own = np.flatnonzero(usable)[: 4 * N_ASKED]
     sweep = replace(swept.condition, mode="radiance", fields=())
     probe = Probe(evidence.bsdf, sweep).of_lanes(mi.UInt32(own))
-    at = replace(at, mode="radiance")
-    _check_each(evidence, params, names, probe, swept.wo[own], False, at)
+    _check_each(evidence, params, names, probe, swept.wo[own], False, sweep, own)
 
 
 def _check_each(
@@ -173,14 +172,15 @@ def _check_each(
     probe: Probe,
     wo: Floats,
     closely: bool,
-    at: Condition,
+    asked: Condition,
+    own: Integers,
 ) -> None:
-    """Check gradients by each parameter; findings are told of a condition."""
+    """Check gradients by each parameter, of its `own` samples of a condition."""
     for name in names:
         try:
             line = _Line(params, [name])
-            for guess, text, size in _wrong_gradients(probe, line, wo, closely):
-                text = f"by {name}: {text}"
+            for guess, text, size, wrong in _wrong_gradients(probe, line, wo, closely):
+                at, text = asked.middle(_mask(asked, own[wrong])), f"by {name}: {text}"
                 shown = Claim(gradient, equal, (answer_of(guess.functions), name))
                 how = {"found": text, "size": size, "shown": shown}
                 evidence.breach(PARAMETERS, guess, at, **how)
@@ -191,10 +191,17 @@ def _check_each(
             evidence.breach_of_fault(PARAMETERS, fault, shown=shown)
 
 
+def _mask(asked: Condition, own: Integers) -> Flags:
+    """Mask of the samples of these numbers."""
+    mask = np.zeros(len(asked.spots), dtype=bool)
+    mask[own[own < len(mask)]] = True
+    return mask
+
+
 def _wrong_gradients(
     probe: Probe, line: _Line, wo: Floats, closely: bool
-) -> Iterator[tuple[Any, str, float]]:
-    """Guess, text and size of wrong gradients, one per direction, along a line.
+) -> Iterator[tuple[Any, str, float, Flags]]:
+    """Guess, text, size and mask of wrong gradients, of each direction, along a line.
 
     Unless `closely`, of ``eval`` forward alone.
     """
@@ -228,13 +235,13 @@ def _wrong_gradients(
                 own, expected = (np.median(x[wrong[:, i], i]) for x in (slope, due))
                 text = f"for {share:.3g} of the directions, with the median {own:.4g} "
                 text += f"where differences have {expected:.4g}"
-                yield Parameters.GRADIENT(one, name=name), text, share
+                yield Parameters.GRADIENT(one, name=name), text, share, wrong[:, i]
             elif closely and (right := small & ~wrong.any(axis=1)).any():
                 by = _backward(probe, one, along, wo[right], slope[right])
                 own, expected, slack = by
                 if not abs(own - expected) <= slack:
                     text = f"{own:.4g} where forward gradients have {expected:.4g}"
-                    yield Parameters.BACKWARD(one, name=name), text, 1.0
+                    yield Parameters.BACKWARD(one, name=name), text, 1.0, right
 
 
 def _rows(parts: tuple[Any, ...]) -> list[mi.Float]:

@@ -33,8 +33,8 @@ def exchanged(bsdf: Any, ctx: Any, si: Any, u: Any, other: Any) -> Sides:
     bs, weight = drawn(bsdf, ctx, si, u)
     cos_i, cos_o = (np.fmax(np.abs(rows(w.z)), 1e-30) for w in (si.wi, bs.wo))
     back = value(bsdf, other, lit_from(si, bs.wo), si.wi) / cos_i
-    there = value(bsdf, ctx, si, bs.wo) / cos_o
-    return there, back, smooth(bs, weight) & (cos_o[0] > 1e-3)
+    counts = smooth(bs, weight) & (cos_o[0] > 1e-3)
+    return value(bsdf, ctx, si, bs.wo) / cos_o, back, counts
 
 
 def both_ways(bsdf: Any, ctx: Any, si: Any, u: Any) -> Sides:
