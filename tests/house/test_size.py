@@ -32,9 +32,9 @@ BUDGET = {
     "materials": 2774,
     "exchange": 3811,
     "analysis": 5123,
-    "validation": 9865,
+    "validation": 9872,
 }
-CORE, WHOLE = 20305, 41878
+CORE, WHOLE = 20305, 41885
 
 # What a room may have beyond its budget.
 SLACK = 1.03
