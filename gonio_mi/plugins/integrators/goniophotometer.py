@@ -20,7 +20,12 @@ from gonio_mi.instrument.setup import set_up
 from gonio_mi.kernels import launches_kernels
 from gonio_mi.results.tally import Tally
 from gonio_mi.settings import INTEGRATOR, MeasurementSettings, plugin_table
-from gonio_mi.specimen.scene_objects import own_settings
+from gonio_mi.specimen.scene_objects import (
+    class_of,
+    held_objects,
+    own_settings,
+    traversed,
+)
 from gonio_mi.specimen.specimen import Specimen
 from gonio_mi.variants import check_variant, is_parallel
 
@@ -56,8 +61,8 @@ class Goniophotometer(mi.SamplingIntegrator):
         check_variant(is_parallel)
         self.settings = MeasurementSettings.from_properties(props, INTEGRATOR)
         super().__init__(props)
-        # of each scene, by parameter: what delta lobes follow
-        self._rules: dict[int, dict[str, Any]] = {}
+        # what delta lobes follow with each parameter, of scenes that are alike
+        self._rules: dict[tuple[str, ...], dict[str, Any]] = {}
 
     @launches_kernels(is_parallel)
     def render(
@@ -96,7 +101,7 @@ class Goniophotometer(mi.SamplingIntegrator):
         """Derivative of the map along the gradients that parameters of BSDFs have."""
         del params  # the scene has them
         _, settings = self._asked(scene, sensor, seed, spp)
-        rules = self._rules.setdefault(id(scene), {})
+        rules = self._rules.setdefault(kinds_of(scene), {})
         return of_colours(rows_of(forward(scene, settings, rules)))
 
     @launches_kernels(is_parallel)
@@ -118,7 +123,7 @@ class Goniophotometer(mi.SamplingIntegrator):
         n_theta, n_phi = film.subdivision.shape
         rows = np.array(grad_in, float).reshape(-1, n_theta, n_phi, grad_in.shape[-1])
         rows[1:] = rows[1:, ::-1]
-        rules = self._rules.setdefault(id(scene), {})
+        rules = self._rules.setdefault(kinds_of(scene), {})
         backward(scene, settings, rules, rows, film.record)
 
     def _asked(
@@ -139,6 +144,15 @@ class Goniophotometer(mi.SamplingIntegrator):
     def to_string(self) -> str:
         """Return a readable description."""
         return f"Goniophotometer[{self.settings}]"
+
+
+def kinds_of(scene: mi.Scene) -> tuple[str, ...]:
+    """Names of a scene's parameters, and classes of all that its shapes hold.
+
+    No `id`, which a later scene may have.
+    """
+    held = (class_of(one) for shape in scene.shapes() for one in held_objects(shape))
+    return (*traversed(scene).keys(), *held)
 
 
 def of_colours(rows: mi.TensorXf) -> mi.TensorXf:

@@ -381,20 +381,30 @@ FEW_HITS = {
 }
 
 
-@pytest.mark.parametrize("hits", [3, 24, 100])
-@pytest.mark.parametrize("name", FEW_HITS)
-def test_totals_of_few_hits_cover(name, hits):
-    """Against closed forms; twin: intervals of half their width."""
+def few_hits(name, hits):
+    """Specimen, total and its truth, and settings with rays for so many hits."""
     specimen, of, truth, rays, how = FEW_HITS[name]
     if isinstance(specimen, float):
         specimen = bright_texel(specimen)
     if specimen is None:
         specimen = grooves(40.0, 1, bsdf=DARK_GREY)
         truth = diffuse_groove_dhr(40.0, 30.0, 0.3)
+    return (
+        specimen,
+        of,
+        truth,
+        how | {"rays": hits * rays, "collector": "projected:4x6"},
+    )
+
+
+@pytest.mark.parametrize("hits", [3, 24, 100])
+@pytest.mark.parametrize("name", FEW_HITS)
+def test_totals_of_few_hits_cover(name, hits):
+    """Against closed forms; twin: intervals of half their width."""
+    specimen, of, truth, how = few_hits(name, hits)
     specimen, covered, twins = mi.load_dict(specimen), [], []
     for seed in range(2 * SEEDS):
-        how = how | {"rays": hits * rays, "seed": seed, "collector": "projected:4x6"}
-        (low,), (high,) = gonio.measure(specimen, 30, **how).interval(LEVEL, of)
+        (low,), (high,) = gonio.measure(specimen, 30, seed=seed, **how).interval(of=of)
         covered.append(low <= truth <= high)
         twins.append(abs((low + high) / 2 - truth) <= (high - low) / 4)
     agree(often_enough(covered))

@@ -492,3 +492,17 @@ def test_intervals_cover_the_truth(alpha, sampler):
     disagree(often_enough(covered["twin"]))
     if covered["dark"]:
         agree(often_enough([np.mean(covered["dark"]) >= 0.95] * len(covered["dark"])))
+
+
+def test_scenes_with_other_bsdfs_share_no_rule():
+    """Though their parameters have the same names; twin: another scene of the same."""
+    mi.set_variant("llvm_ad_mono")
+    from gonio_mi.plugins.integrators.goniophotometer import kinds_of
+
+    def scene(bsdf):
+        plate = {"type": "rectangle", "bsdf": {"type": bsdf}}
+        return mi.load_dict({"type": "scene", "plate": plate})
+
+    pane, glass = scene("thindielectric"), scene("dielectric")
+    assert kinds_of(pane) != kinds_of(glass)
+    assert kinds_of(pane) == kinds_of(scene("thindielectric"))
