@@ -71,7 +71,7 @@ def campaign(
         it is the record's ``back``, in the same file.
     relative_tolerance : float, optional
         With `tolerance`: largest relative error of a patch whose BSDF is at least a
-        tenth of its mean, which is what a picture sees of dim directions.
+        tenth of its mean: errors that show in pictures of dim directions.
     theta_max : float
         Largest angle of incidence of such a campaign in degrees; beyond, the material
         is what it is there.

@@ -207,7 +207,7 @@ class CampaignOutcome:
         )
 
     def _seen_text(self) -> str:
-        """What a picture sees."""
+        """Sentence on the largest relative error, empty if unknown."""
         known = [one for one in self.unseen if one.relative is not None]
         if not known:
             return ""

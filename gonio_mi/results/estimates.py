@@ -425,10 +425,10 @@ class ControlledEstimate(SampledEstimate):
 class SplitEstimate(ControlledEstimate):
     """What points of the surface tell of the first order, in batches too.
 
-    Most patches receive few branches, or none, which their own scatter does not show;
-    their intervals therefore allow for one more branch, and those of sums over many
-    for as many as a ray has: what no point met is bright, but rarer than one in all
-    rays.
+    Most patches receive few branches or none, which the scatter does not show. The
+    interval of a patch therefore allows for one more branch, and that of a sum over
+    many patches for all branches of a ray: places that no point met may be bright, but
+    are rarer than one in all rays.
     """
 
     @property
@@ -615,6 +615,7 @@ class Estimates:
                 rays = int(self._of_a_pass(tally.hits[over > 0].sum(dtype=np.uint64)))
 
         def rest() -> Around:
+            """Of the hemispheres in which the sum has patches."""
             with np.errstate(divide="ignore", invalid="ignore"):
                 flux = tally.incident.sum(axis=0) / incident.sum(axis=0)
             found = []

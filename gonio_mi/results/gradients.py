@@ -35,7 +35,7 @@ class SampledGradients:
     light : Estimates
         Of the light itself.
     numbers : slice
-        Of the parameters' numbers.
+        Components of the parameter.
     """
 
     tally: DifferentiatedTally
@@ -124,7 +124,7 @@ class IntegralGradients:
         return self._both(hemisphere, total)[0]
 
     def std_err(self, hemisphere: int, total: bool) -> Floats:
-        """What they may be wrong by, added up as if none cancelled."""
+        """Error bounds, summed as if none cancelled."""
         return self._both(hemisphere, total)[1]
 
     def interval(self, hemisphere: int, total: bool, level: float) -> Limits:  # noqa: ARG002
@@ -153,7 +153,7 @@ class Differentiated:
 
     @property
     def gradients(self: Any) -> tuple[str, ...]:
-        """Names of the parameters by which the measurement was differentiated."""
+        """Parameters with respect to which the measurement was differentiated."""
         names: tuple[str, ...] = self.asked.gradients
         return names
 
@@ -235,7 +235,7 @@ def slopes_of(record: Any, level: float) -> list[Slope]:
 def _of_each(
     record: MeasuredValues, what: str, name: str, of: str, *more: float
 ) -> tuple[Floats, ...]:
-    """What the estimates of each incident direction tell: one array, or two."""
+    """Value, standard error or limits for all incident directions."""
     checked_choice("of", of, QUANTITIES)
     numbers, alone = _numbers(record, name)
     hemisphere, total = record._hemisphere(of), of in TOTALS

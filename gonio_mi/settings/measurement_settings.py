@@ -199,9 +199,9 @@ class MeasurementSettings:
         (),
         checked_names,
         Kind.WORDS,
-        "Parameters of BSDFs and textures by which the values are differentiated, as "
-        "`mi.traverse` names them: at most 8 numbers each. Each number takes about as "
-        "long as the measurement.",
+        "Parameters of BSDFs and textures to differentiate with respect to, as "
+        "`mi.traverse` names them, with at most 8 components each. Each component "
+        "takes about as long as the measurement.",
         group=METHOD,
         metavar="NAME",
         text=list,

@@ -24,7 +24,7 @@ FLAGS = dr.ADFlag.ClearInterior | dr.ADFlag.AllowNoGrad
 
 
 class Lobes(Enum):
-    """What follows the light of delta lobes: nothing, weight and pdf, or a weight."""
+    """Quantity that a delta lobe follows: none, weight times pdf, or weight."""
 
     STILL = 0
     WEIGHT_AND_PDF = 1

@@ -49,7 +49,7 @@ class Gradients:
     Raises
     ------
     ValueError
-        If there is no such parameter, or none that can be differentiated.
+        If there is no such parameter, or it cannot be differentiated.
     """
 
     def __init__(self, scene: mi.Scene) -> None:

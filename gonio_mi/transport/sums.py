@@ -40,9 +40,9 @@ LOWEST, N_ORDINARY = 114, 16
 # Levels of all numbers but infinity and those below 2**-126.
 LEVELS = 32
 
-# Units, as exponents of two, to whole numbers of which signed columns are rounded: of
-# faint, ordinary and bright light, and from which size of the largest column on the
-# next unit holds. 2**24 of them stay below 2**63.
+# Fixed-point units of signed columns, as exponents of two, for faint, ordinary and
+# bright light; and the sizes of the largest column from which the next unit holds.
+# 2**24 of them stay below 2**63.
 COLUMN_UNITS = (-60, -36, -9)
 COLUMN_STEPS = (2.0**-21, 2.0**3)
 
@@ -184,8 +184,8 @@ class Sums:
     `deposit` adds, and the rays are in the bins of their fates. Direct light is in the
     bin of its fate as well, with its power.
 
-    Signed columns are added up in bins of their own: in polarised variants the other
-    elements of Mueller matrices; or what light gains and loses with a parameter.
+    Signed columns have bins of their own: the other elements of Mueller matrices in
+    polarised variants, or the gains and losses of light with a parameter.
 
     Powers beyond the ordinary are added up by themselves, in the levels that there is
     room for. What other levels there were is known once the kernel has run.

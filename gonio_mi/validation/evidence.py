@@ -99,7 +99,7 @@ class Question:
     needed : bool
         Whether nothing passes where it is undecided.
     shown : Claim, optional
-        By what a script shows that it is lacking, unless a breach says otherwise.
+        Judgement by which a script shows the fault, unless a breach names another.
     explain : callable, optional
         Takes the evidence and guesses what is wrong, where it is not the worst breach.
     checks : dict of list

@@ -28,7 +28,7 @@ class Claim:
     given: tuple[Any, ...] = ()
 
     def of(self, *given: Any) -> Claim:
-        """The same of something, which follows what is given."""
+        """The same mistake of the object named after it."""
         return Claim(self.stated, self.judge, (*self.given, *given))
 
 

@@ -419,7 +419,7 @@ class Fit:
         unknown = [n for n, e in zip(self.names, self.std_errs) if not np.isfinite(e)]
         notes = [f"the uncertainty of {n} is not known, nor in this" for n in unknown]
         if self.reduced_chi2 > MAX_REDUCED_CHI2 or (self.scatter or 0) > MAX_SCATTER:
-            notes.append("the model does not follow what was measured: +- says little")
+            notes.append("the model does not fit the data: its +- says little")
         interval = low, one.value + high
         found = replace(one, std_err=std_err, interval=interval, parts=parts)
         return replace(found, notes=tuple(notes))

@@ -84,7 +84,7 @@ class Search:
         return self.misfit(self.predicted(found)), found
 
     def _is_poor(self, misfit: float, values: Floats) -> bool:
-        """Whether a minimum is at a limit, or far from what was observed."""
+        """Whether a minimum is at a limit, or far from the data."""
         stated = all(one.stated for one in self.observations)
         most = MAX_REDUCED_CHI2 if stated else MAX_SCATTER**2
         return bool(self.at_limit(values).any() or misfit > most * self.values.size)
