@@ -214,6 +214,33 @@ class Sweep(Condition):
         return f"all angles of incidence{self._more}"
 
 
+@dataclass(frozen=True, eq=False)
+class Given(Condition):
+    """Incident directions and places that are given, one for each sample.
+
+    Attributes
+    ----------
+    lit_by : ndarray, shape (n, 3)
+        Unit vectors to the source.
+    at : ndarray, shape (n, 2)
+        Texture coordinates.
+    """
+
+    theta_i: float = 50.0
+    lit_by: Any = None
+    at: Any = None
+
+    @property
+    def wi(self) -> Floats:
+        """Unit vectors to the source, shape (n, 3), in local coordinates."""
+        return self.lit_by
+
+    @property
+    def uvs(self) -> Floats:
+        """Texture coordinates of each, shape (n, 2)."""
+        return self.at
+
+
 @lru_cache(4)
 def _swept(n: int, side: str, both: bool) -> tuple[Floats, Floats]:
     """Angles and directions of a sweep, the same for all fields."""
@@ -329,6 +356,11 @@ class Effort:
     map_angles: tuple[float, ...]
     few_angles: tuple[float, ...]
     threads: int | None = None
+
+    @property
+    def lanes(self) -> int:
+        """Samples `checked`; a 16th of Mueller matrices, which have 16 elements."""
+        return self.checked // (16 if mi.is_polarized else 1)
 
     @property
     def patches(self) -> Borders:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -131,18 +131,13 @@ def validate(
     questions = _questions(bsdf, name, allow)
     polarised = questions is OF_MATRICES
     evidence = Evidence(bsdf, seed, questions)
-    n_asked = 0
+    if not isinstance(specimen, mi.Object):
+        evidence.load = lambda: _bsdf(specimen)[0]
     try:
         if polarised:
-            load = None
-            if not isinstance(specimen, mi.Object):
-                load = lambda: _bsdf(specimen)[0]  # noqa: E731
-            n_asked = examine_polarised(evidence, effort, specimen, load)
+            examine_polarised(evidence, plan, specimen)
         else:
-            load = None
-            if isinstance(specimen, dict):
-                load = lambda: _bsdf(specimen)[0]  # noqa: E731
-            _examine(evidence, plan, name, load, progress)
+            _examine(evidence, plan, name, progress)
     except PluginFault as fault:
         _stop(evidence, fault)
     properties = properties_of(evidence, alpha, allow)
@@ -154,7 +149,7 @@ def validate(
     asked = [m.totals.n for m in evidence.maps] + [one.n for one in evidence.samples]
     settings = {"effort": effort, "seed": seed, "alpha": alpha, "allow": list(allow)}
     settings |= {"strict": bool(strict), "variant": mi.variant(), "tints": tints}
-    settings |= {"n_tests": len(evidence.tests), "n_samples": n_asked + sum(asked)}
+    settings |= {"n_tests": len(evidence.tests), "n_samples": sum(asked)}
     return Verdict(
         name,
         tuple(properties),
@@ -233,19 +228,16 @@ def _examine(
     evidence: Evidence,
     plan: Effort,
     name: str,
-    load: Callable[[], mi.BSDF] | None,
     progress: bool,
 ) -> None:
     """Run all checks with a progress bar."""
     with bar(progress, total=N_STEPS, desc=f"validate {name}", unit="step") as report:
-        for step in _steps(evidence, plan, load):
+        for step in _steps(evidence, plan):
             if report is not None:
                 report(step)
 
 
-def _steps(
-    evidence: Evidence, plan: Effort, load: Callable[[], mi.BSDF] | None
-) -> Iterator[float]:
+def _steps(evidence: Evidence, plan: Effort) -> Iterator[float]:
     """Run all checks, those that explain most first; yield steps of `N_STEPS`."""
     bsdf, seed, volumes = evidence.bsdf, evidence.seed, evidence.of_volumes
     n = bsdf.component_count()
@@ -274,7 +266,7 @@ def _steps(
     if plan is not Effort.named("quick") and not volumes:
         cost.check_time(evidence, usual)  # it takes a second
     check_memory(evidence)
-    parameters.check_instances(evidence, load)
+    parameters.check_instances(evidence)
     cost.check_recorded(evidence, usual)
 
 

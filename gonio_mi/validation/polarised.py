@@ -6,7 +6,7 @@ unpolarised variant judges.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import mitsuba as mi
@@ -16,32 +16,28 @@ from ..array_types import Flags, Floats, Integers, Numbers
 from ..collector.directions import angles, direction
 from ..collector.stokes import UPRIGHT, plane_axis
 from ..specimen.loading import loaded
-from .checks import energy, first_element, frames, matrices, realisable
-from .conditions import FIELDS, N_SPOTS, PLACES, sides_of, surroundings
+from .checks import answers, energy, frames
+from .checks.consistency import check_sweep
+from .checks.matrices import SAME_DIRECTION
+from .conditions import PLACES, Effort, Sweep, sides_of
 from .evidence import Evidence
+from .mistakes import EVAL
 from .mueller import (
-    Lobes,
     Matrices,
-    MuellerProbe,
+    eval_at,
+    eval_with_slack,
+    flux_of,
     is_depolarised,
-    lit_directions,
+    lobe_slack,
     per_light,
-    slack_of,
+    relative_slack,
+    samples_at,
 )
-from .samples import ULPS
+from .probe import Probe, uniform
+from .samples import Samples, drawn_samples, samples_of
 
-# Directions and samples by effort, and their number of pairs that are turned.
-SIZES = {"quick": 1, "normal": 4, "thorough": 16}
-N_SAMPLES, N_PAIRS, N_ANGLES = 1024, 12, 16
-
-# Samples for the flux of each of some incident directions.
-N_LIT, N_FLUX = 6, 512
-
-# Numbers that choose a lobe on the way back.
-CHOICES = (0.01, 0.05, 0.15, 0.35, 0.65, 0.85, 0.95, 0.99)
-
-# Of cosines between two directions that are the same.
-SAME_DIRECTION = 1e-3
+# Pairs of directions that are turned, for each thousand samples, and their angles.
+N_PAIRS, N_ANGLES = 12, 16
 
 # Polar angle, in degrees, from which paths go through the pole.
 STEEP = 80.0
@@ -53,167 +49,84 @@ N_KINDS, LEG = 6, 5.0
 TILTING = ("normalmap", "bumpmap")
 
 
-def examine_polarised(
-    evidence: Evidence, effort: str, specimen: Any, load: Callable[[], mi.BSDF] | None
-) -> int:
-    """Run all checks and return the number of answers that they asked for.
+def examine_polarised(evidence: Evidence, plan: Effort, specimen: Any) -> None:
+    """Run all checks of matrices.
 
     Parameters
     ----------
     evidence : Evidence
-    effort : str
+    plan : Effort
     specimen : object
         As of :func:`gonio_mi.validate`.
-    load : callable or None
-        Loads the same BSDF in the variant that is set.
     """
-    examination = _Examination(evidence, SIZES[effort])
-    examination.check_pairs(load)
-    normal, nested = _axes(specimen)
-    examination.check_turned(normal, nested)
-    examination.check_jumps()
-    if not evidence.of("frames"):
-        examination.check_world()
-    if not any(map(evidence.of, matrices.AGREEMENTS)):
-        examination.check_fields()
-    examination.check_energy()
-    probes = (examination.importance, examination.radiance, examination.turned)
-    return sum(probe.n_asked for probe in probes)
-
-
-class _Examination:
-    """Directions, the BSDF's answers about them, and checks of both."""
-
-    def __init__(self, evidence: Evidence, size: int) -> None:
-        self.evidence, self.size = evidence, size
-        self.rng = np.random.default_rng((evidence.seed, 77))
-        bsdf = evidence.bsdf
-        self.importance = MuellerProbe(bsdf)
-        self.radiance = MuellerProbe(bsdf, "radiance")
-        self.turned = MuellerProbe(bsdf, turned=True)
-        # +1 the front
-        self.sides = [1 if side == "front" else -1 for side in sides_of(bsdf)]
-        n = N_SAMPLES * size
-        self.wi = lit_directions(self.rng, n, self.sides)
-        self.random = self.rng.random((n, 3))
-        self.uv = np.resize(PLACES, (n, 2))
-        # where samples are discrete any other direction does
-        self.other = lit_directions(self.rng, n, self.sides[::-1])
-        self.lobes, self.values, self.slack = self._asked(self.importance, self.uv)
-
-    def _asked(self, probe: MuellerProbe, uv: Floats) -> tuple[Lobes, Matrices, Floats]:
-        """Samples, and matrices of their directions or of others, with slack."""
-        lobes = probe.sample(self.wi, self.random, uv)
-        wo = np.where(lobes.smooth[:, None], lobes.weights.wo, self.other)
-        return lobes, *probe.eval_with_slack(self.wi, wo, uv)
-
-    def check_pairs(self, load: Callable[[], mi.BSDF] | None) -> None:
-        """Check single pairs of directions."""
-        evidence, lobes, wi, uv = self.evidence, self.lobes, self.wi, self.uv
-        matrices.check_finite(evidence, lobes.weights)
-        values, slack, wo = self.values, self.slack, self.values.wo
-        matrices.check_finite(evidence, values)
-        # where the three directions of a plane of incidence are one line
-        for straight in (wi, -wi):
-            found = self.importance.eval(wi, straight, uv)
-            matrices.check_finite(evidence, found, " where wo is wi or -wi,")
-        smooth = values.lit & values.finite
-        realisable.check_matrices(evidence, values, smooth)
-        # what is wrong with `eval` is with the weights that are made of it
-        smooth_too = not evidence.of("realisable")
-        asked = lobes.given if smooth_too else lobes.delta
-        realisable.check_matrices(evidence, lobes.weights, asked)
-        self._check_agreement(self.importance, lobes, values, slack)
-        if smooth.any():
-            back, back_slack = self.importance.eval_with_slack(wo, wi, uv)
-            both = slack + back_slack
-            matrices.check_reciprocity(evidence, values, back, both)
-            other_mode = self.radiance.eval(wi, wo, uv)
-            matrices.check_finite(evidence, other_mode)
-            matrices.check_adjoint(evidence, other_mode, back, both)
-        if lobes.delta.any():
-            self._check_returns()
-        seen, radiance, slack = self._asked(self.radiance, uv)
-        matrices.check_finite(evidence, seen.weights)
+    bsdf, sides, key = evidence.bsdf, sides_of(evidence.bsdf), (evidence.seed, 77)
+    sweep = Sweep(side=sides[0], both=len(sides) > 1, n=plan.lanes)
+    for asked in (sweep, replace(sweep, mode="radiance")):
+        samples = samples_of(bsdf, asked, sweep.n, key)
+        evidence.samples.append(samples)
         # where importance mode contradicts itself, nothing is due in radiance mode
-        if not any(map(evidence.of, matrices.AGREEMENTS)):
-            self._check_agreement(self.radiance, seen, radiance, slack)
-        first_element.check_first_element(
-            evidence, load, [(values, lobes), (radiance, seen)], self.random
+        if not any(map(evidence.of, answers.AGREEMENTS)):
+            evidence.ask("samples", samples)
+        evidence.ask("matrices", samples)
+    evidence.ask("bsdf")
+    samples = evidence.samples[0]
+    _check_straight(evidence, samples)
+    _remark_on_light(evidence, samples)
+    pairs = _Pairs(evidence, samples, np.random.default_rng(key))
+    normal, nested = _axes(specimen)
+    pairs.check_turned(normal, nested)
+    pairs.check_jumps()
+    if not evidence.of("frames"):
+        pairs.check_world()
+    if not any(map(evidence.of, answers.AGREEMENTS)):
+        check_sweep(evidence, plan, sides)
+    for condition in plan.checks(sides, ()):
+        random = uniform(sweep.n // 2, key)
+        energy.check_gain(evidence, drawn_samples(Probe(bsdf, condition), *random))
+
+
+def _check_straight(evidence: Evidence, samples: Samples) -> None:
+    """Check that matrices are finite where wo is wi or -wi.
+
+    There the three directions of a plane of incidence are one line.
+    """
+    for straight in (samples.wi, -samples.wi):
+        found = eval_at(evidence.bsdf, samples.wi, straight, samples.condition.uvs)
+        wrong = answers.improper(found.raw)
+        if wrong.any():
+            fields = {"what": "value", "value": answers.example(found.raw[wrong])}
+            guess = answers.Answers.IMPROPER_IN_PLACES(EVAL, **fields)
+            how = {"found": "where wo is wi or -wi,", "off": None}
+            evidence.breach(answers.ANSWERS, guess, samples, wrong, **how)
+
+
+def _remark_on_light(evidence: Evidence, samples: Samples) -> None:
+    """Note where no light is scattered, or none keeps its polarisation."""
+    usable = ("eval", samples.usable), ("weight", samples.given)
+    answered = [samples.full(name)[mask] for name, mask in usable]
+    if sum(map(len, answered)) == 0:
+        text = "no light was scattered, so that nothing was compared"
+        names = (question.name for question in evidence.questions[1:])
+        evidence.undecided |= dict.fromkeys(names, text)
+    elif all(is_depolarised(per_light(raw)) for raw in answered):
+        evidence.note = (
+            "but it depolarises all light: there is no polarisation to be judged"
         )
-        answered = (values.raw[smooth], lobes.weights.raw[lobes.given])
-        if sum(map(len, answered)) == 0:
-            text = "no light was scattered, so that nothing was compared"
-            names = (question.name for question in evidence.questions[1:])
-            evidence.undecided |= dict.fromkeys(names, text)
-        elif all(is_depolarised(per_light(raw)) for raw in answered):
-            evidence.note = (
-                "but it depolarises all light: there is no polarisation to be judged"
-            )
-            text = "all matrices have the first element only: light leaves unpolarised"
-            if (lobes.delta & ~lobes.null).any():
-                text += ", by discrete lobes too, where a smooth surface polarises it"
-            evidence.remark("realisable", text)
+        text = "all matrices have the first element only: light leaves unpolarised"
+        if (samples.discrete & ~samples.null).any():
+            text += ", by discrete lobes too, where a smooth surface polarises it"
+        evidence.remark("realisable", text)
 
-    def _check_agreement(
-        self, probe: MuellerProbe, lobes: Lobes, values: Matrices, slack: Floats
+
+class _Pairs:
+    """Checks of pairs of directions beside samples, whose answers are known."""
+
+    def __init__(
+        self, evidence: Evidence, samples: Samples, rng: np.random.Generator
     ) -> None:
-        """Check that the functions agree about pairs of directions in one mode."""
-        smooth = values.lit & values.finite
-        if smooth.any():
-            pairs = values.wi, values.wo, values.uv
-            pdf = probe.pdf(*pairs)
-            matrices.check_sampled(self.evidence, lobes, values, pdf, slack)
-            joint = probe.eval_pdf(*pairs)
-            matrices.check_eval_pdf(self.evidence, values, pdf, *joint, smooth)
-
-    def check_fields(self) -> None:
-        """Check agreement where each pair has other fields of its interaction.
-
-        What fails is told of one field, if that alone fails.
-        """
-        breaches = self.evidence.breaches
-        n, of_all = len(breaches), breaches[:0]
-        for fields in (FIELDS, *((one,) for one in FIELDS)):
-            probe = MuellerProbe(self.evidence.bsdf, fields=fields)
-            uv = surroundings()["uv"][np.arange(len(self.wi)) % N_SPOTS]
-            uv = uv if "uv" in fields else self.uv
-            self._check_agreement(probe, *self._asked(probe, uv))
-            found = breaches[n:]
-            if bool(found) != (fields is FIELDS):
-                break  # nothing, or one field
-            of_all, breaches[n:] = of_all or found, []
-        breaches.extend(of_all * (len(breaches) == n))
-
-    def _check_returns(self) -> None:
-        """Check discrete lobes on the way back, and in radiance mode."""
-        lobes = self.lobes
-        chosen = np.flatnonzero(lobes.delta)[: 256 * self.size]
-        there, random = lobes.weights.take(chosen), self.random[chosen]
-        # the same lobe, for any of some choices, in both directions
-        choices = np.repeat(random[:, None], len(CHOICES), axis=1)
-        choices[..., 0] = CHOICES
-        wi = np.broadcast_to(there.wo[:, None], choices.shape)
-        returned = self.importance.sample(wi, choices, there.uv[:, None])
-        same = returned.delta & (returned.type == lobes.type[chosen, None])
-        same &= np.abs(returned.weights.wo - there.wi[:, None]).max(-1) < SAME_DIRECTION
-        which = same.argmax(axis=1)
-        back = returned.weights.take((np.arange(len(chosen)), which))
-        slack = self._slack_of_lobes(there.wi, random, there.uv)
-        slack = np.where(same.any(axis=1), slack, np.inf)
-        matrices.check_reciprocity(self.evidence, there, back, slack)
-        radiance = self.radiance.sample(there.wi, random, there.uv)
-        matrices.check_finite(self.evidence, radiance.weights)
-        known = radiance.delta & (radiance.type == lobes.type[chosen])
-        slack = np.where(known, slack, np.inf)
-        matrices.check_adjoint(self.evidence, radiance.weights, back, slack)
-
-    def _slack_of_lobes(self, wi: Floats, random: Floats, uv: Floats) -> Floats:
-        """Slack for rounding of elements of weights over the first one."""
-        steps = ULPS * (2 * self.rng.random((2, *wi.shape)) - 1)
-        moved = wi + np.concatenate([np.zeros((1, *wi.shape)), steps])
-        lobes = self.importance.sample(moved, np.broadcast_to(random, moved.shape), uv)
-        return slack_of(per_light(lobes.weights.raw))
+        self.evidence, self.bsdf = evidence, evidence.bsdf
+        self.samples, self.rng = samples, rng
+        self.uv = samples.condition.uvs
 
     def check_turned(self, normal: Floats, nested: Floats | None) -> None:
         """Check pairs of directions that are turned together.
@@ -224,26 +137,27 @@ class _Examination:
 
         angle = 2 * np.pi * (np.arange(N_ANGLES) + self.rng.random(N_ANGLES)) / N_ANGLES
         turns = Rotation.from_rotvec(angle[:, None] * normal).as_matrix()
-        lobes = self.lobes
+        samples = self.samples
         for smooth in (True, False):
-            asked = lobes.smooth if smooth else lobes.delta & ~lobes.null
+            asked = samples.smooth if smooth else samples.discrete & ~samples.null
             if nested is not None:
                 asked = asked & (self.uv == PLACES[0]).all(axis=-1)
             pairs = self._some(asked)
             if not len(pairs):
                 continue
             uv = self.uv[pairs, None]
-            wi = np.einsum("aij,pj->pai", turns, self.wi[pairs])
-            wo = np.einsum("aij,pj->pai", turns, lobes.weights.wo[pairs])
+            wi = np.einsum("aij,pj->pai", turns, samples.wi[pairs])
+            wo = np.einsum("aij,pj->pai", turns, samples.wo[pairs])
             if smooth:
-                matrices, slack = self.importance.eval_with_slack(wi, wo, uv)
+                matrices, slack = eval_with_slack(self.bsdf, wi, wo, uv)
                 usable = matrices.lit & matrices.finite
             else:
-                random = np.broadcast_to(self.random[pairs, None], wi.shape)
-                turned = self.importance.sample(wi, random, uv)
-                matrices = turned.flux
-                slack = self._slack_of_lobes(wi, random, uv)
-                usable = turned.delta & (turned.type == turned.type[:, :1])
+                random = np.broadcast_to(samples.u[pairs, None], wi.shape)
+                turned = samples_at(self.bsdf, wi, random, uv)
+                matrices = flux_of(turned, *wi.shape[:2])
+                slack = lobe_slack(self.bsdf, turned).reshape(wi.shape[:2])
+                kind = (turned.type * turned.discrete).reshape(slack.shape)
+                usable = (kind > 0) & (kind == kind[:, :1])
                 # a discrete lobe turns with its source
                 usable &= np.abs(matrices.wo - wo).max(-1) < SAME_DIRECTION
             same = np.asarray(usable.all(axis=1))
@@ -251,24 +165,26 @@ class _Examination:
             frames.check_turned(self.evidence, *found, normal, nested)
 
     def _some(self, chosen: Flags) -> Integers:
-        """Indices of a few samples of each type and side."""
+        """Indices of a few samples of each type and side, evenly chosen."""
         found = np.flatnonzero(chosen)
         if not len(found):
             return found
-        sides = np.sign([self.wi[found, 2], self.lobes.weights.wo[found, 2]])
-        kinds = np.array([*sides, self.lobes.type[found]]).T
+        samples = self.samples
+        sides = np.sign([samples.wi[found, 2], samples.wo[found, 2]])
+        kinds = np.array([*sides, samples.type[found]]).T
         _, group = np.unique(kinds, axis=0, return_inverse=True)
         group = group.ravel()  # in NumPy 2.0.0 it has as many axes as `kinds`
         n = int(group.max()) + 1
-        each = max(2, N_PAIRS * self.size // n)
-        return np.concatenate([found[group == k][:each] for k in range(n)])
+        each = max(2, N_PAIRS * samples.n // 1024 // n)
+        own = (np.array_split(found[group == k], each) for k in range(n))
+        return np.array([x[len(x) // 2] for parts in own for x in parts if len(x)])
 
     def check_jumps(self) -> None:
         """Check paths of one or both directions over the sphere."""
-        lobes = self.lobes
+        lobes = self.samples
         pairs = self._some(lobes.smooth)
         if len(pairs):
-            wi, wo, uv = self.wi[pairs], lobes.weights.wo[pairs], self.uv[pairs]
+            wi, wo, uv = lobes.wi[pairs], lobes.wo[pairs], self.uv[pairs]
 
             def _eval_along(paths: Numbers, places: Floats) -> tuple[Matrices, Numbers]:
                 pair, kind = paths // N_KINDS, paths % N_KINDS
@@ -278,48 +194,37 @@ class _Examination:
                 # both around, wi around, wo around, wi over the pole, wo over it
                 at_wi = _moved(at_wi, places, kind <= 1, kind == 3)
                 at_wo = _moved(at_wo, places, (kind == 0) | (kind == 2), kind == 4)
-                found = self.importance.eval(at_wi, at_wo, uv[pair])
+                found = eval_at(self.bsdf, at_wi, at_wo, uv[pair])
                 return found, np.zeros(places.shape)
 
             frames.check_jumps(self.evidence, _eval_along, N_KINDS * len(pairs))
-        samples = self._some(lobes.delta)
-        if len(samples):
-            lit, random, at = (x[samples] for x in (self.wi, self.random, self.uv))
+        pairs = self._some(lobes.discrete)
+        if len(pairs):
+            lit, random, at = (x[pairs] for x in (lobes.wi, lobes.u, self.uv))
 
             def _sample_along(
                 paths: Numbers, places: Floats
             ) -> tuple[Matrices, Numbers]:
                 which, kind = paths // 2, paths % 2
                 moved = _moved(lit[which], places, kind == 0, kind == 1)
-                found = self.importance.sample(moved, random[which], at[which])
-                kinds = found.type * found.delta * np.sign(found.weights.wo[..., 2])
-                return found.flux, kinds
+                found = samples_at(self.bsdf, moved, random[which], at[which])
+                kinds = found.type * found.discrete * np.sign(found.wo[:, 2])
+                return flux_of(found, *places.shape), kinds.reshape(places.shape)
 
-            frames.check_jumps(self.evidence, _sample_along, 2 * len(samples))
+            frames.check_jumps(self.evidence, _sample_along, 2 * len(pairs))
 
     def check_world(self) -> None:
         """Check the same pairs of directions on a surface that is turned."""
-        evidence, lobes, values = self.evidence, self.lobes, self.values
-        turned = self.turned.eval(values.wi, values.wo, self.uv)
-        lit = values.lit & values.finite
-        frames.check_world(evidence, values, turned, lit, self.slack)
-        there = self.turned.sample(self.wi, self.random, self.uv)
-        same = lobes.given & there.given & (there.type == lobes.type)
-        same &= np.abs(there.weights.wo - lobes.weights.wo).max(-1) < SAME_DIRECTION
-        slack = self._slack_of_lobes(self.wi, self.random, self.uv)
-        frames.check_world(evidence, lobes.flux, there.flux, same, slack)
-
-    def check_energy(self) -> None:
-        """Check the flux of some incident directions."""
-        n = N_FLUX * self.size
-        wi = lit_directions(self.rng, N_LIT, self.sides)[:, None]
-        shape = (N_LIT, n, 3)
-        lobes = self.importance.sample(
-            np.broadcast_to(wi, shape),
-            self.rng.random(shape),
-            np.resize(PLACES, (N_LIT, 1, 2)),
-        )
-        energy.check_gain(self.evidence, lobes)
+        samples, turned = self.samples, {"turned": True}
+        here = Matrices.of(samples, EVAL, samples.full("eval"))
+        there = eval_at(self.bsdf, here.wi, here.wo, self.uv, **turned)
+        slack = relative_slack(samples.eval_slack, samples.eval)
+        frames.check_world(self.evidence, here, there, samples.usable, slack)
+        lobes = samples_at(self.bsdf, samples.wi, samples.u, self.uv, **turned)
+        same = samples.given & lobes.given & (lobes.type == samples.type)
+        same &= np.abs(lobes.wo - samples.wo).max(-1) < SAME_DIRECTION
+        slack = lobe_slack(self.bsdf, samples)
+        frames.check_world(self.evidence, flux_of(samples), flux_of(lobes), same, slack)
 
 
 def _moved(d: Floats, places: Floats, around: Flags, over: Flags) -> Floats:
@@ -361,12 +266,11 @@ def _axes(specimen: Any) -> tuple[Floats, Floats | None]:
             part = loaded("the nested BSDF", mi.load_dict, value)
         if isinstance(part, mi.BSDF):
             mirrored[key] = {"type": "conductor"}
-    probe = MuellerProbe(loaded("the specimen", mi.load_dict, mirrored))
-    wi = UPRIGHT[None]
-    lobes = probe.sample(wi, np.full((1, 3), 0.5), np.array(PLACES[0]))
+    tilted = loaded("the specimen", mi.load_dict, mirrored)
+    lobes = samples_at(tilted, UPRIGHT[None], np.full((1, 3), 0.5), np.array(PLACES[0]))
     if not lobes.given.any():
         return UPRIGHT, None
-    normal = wi[0] + lobes.weights.wo[0]
+    normal = UPRIGHT + lobes.wo[0]
     normal /= np.linalg.norm(normal)
     s = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
     s /= np.linalg.norm(s)

@@ -448,12 +448,24 @@ def numbers(value: Any, n: int) -> Numbers:
 
 
 def spectral(value: Any, n: int) -> Floats:
-    """NumPy array of a vector or spectrum in float64, shape ``(n, channels)``."""
+    """NumPy array of a vector or spectrum in float64, shape ``(n, channels)``.
+
+    Of Mueller matrices it is the first element.
+    """
+    value = value[0, 0] if dr.is_matrix_v(value) else value
     found = np.empty((len(value), n))
     for row, channel in zip(found, value):
         # one by one: all together, they would be interleaved in a kernel
         row[:] = np.ravel(np.array(channel))
     return found.T
+
+
+def full(value: Any, n: int) -> Floats:
+    """The same, of Mueller matrices all elements, shape ``(n, channels, 4, 4)``."""
+    if not dr.is_matrix_v(value):
+        return spectral(value, n)
+    each = np.array([spectral(value[i, j], n) for i in range(4) for j in range(4)])
+    return np.moveaxis(each, 0, -1).reshape(n, -1, 4, 4)
 
 
 def vectors(rows: Numbers) -> mi.Vector3f:

@@ -9,19 +9,16 @@ import numpy as np
 
 from ...array_types import Flags, Floats, Numbers
 from ...collector.stokes import plane_axis, reframed, turn
-from ..arrays import answer_of, drawn, in_plane, lit_from, per_first
+from ..arrays import Sides, answer_of, drawn, in_plane, lit_from, per_first
 from ..conditions import TURN
 from ..evidence import BIAS, POLARISING, SAME, Evidence, Question
-from ..judgements import elements
+from ..judgements import by_sample
 from ..mistakes import EVAL, Claim, Mistake
 from ..mueller import Matrices, Reading, is_identity, off, per_light, readings
-from ..samples import beyond_rounding
-from .matrices import ROUNDING
+from ..samples import ELEMENT_ROUNDING, beyond_rounding
 
 
-def turned(
-    bsdf: Any, ctx: Any, si: Any, u: Any, what: Any, normal: Any
-) -> tuple[Any, Any]:
+def turned(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any, normal: Any) -> Sides:
     """Matrices are the same where both directions turn about the normal."""
     bs, _ = drawn(bsdf, ctx, si, u)
     rotation = mi.Transform4f().rotate(normal, 37)
@@ -29,29 +26,27 @@ def turned(
         in_plane(what, bsdf, ctx, si, wi, wo, u, normal)
         for wi, wo in ((si.wi, bs.wo), (rotation @ si.wi, rotation @ bs.wo))
     )
-    return here, there
+    return here, there, True
 
 
-def in_the_world(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> tuple[Any, Any]:
+def in_the_world(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> Sides:
     """Matrices are the same where the surface is turned in the world."""
     (bs, _), found = drawn(bsdf, ctx, si, u), []
     for normal in ([0, 0, 1], [0.6, 0, 0.8]):
         there = type(si)(si)
         there.sh_frame = mi.Frame3f(normal)
         found.append(per_first(np.array(what(bsdf, ctx, there, bs.wo, u))))
-    return found[0], found[1]
+    return found[0], found[1], True
 
 
-def next_to(
-    bsdf: Any, ctx: Any, si: Any, u: Any, what: Any, *pairs: Any
-) -> tuple[Any, Any]:
+def next_to(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any, *pairs: Any) -> Sides:
     """Matrices do not jump between two pairs of directions next to each other."""
     found = []
     for wi, wo in pairs:
         there = lit_from(si, mi.Vector3f(wi) + dr.zeros(mi.Vector3f, dr.width(u)))
         m = np.array(what(bsdf, ctx, there, mi.Vector3f(wo), u))
         found.append(per_first(m))
-    return found[0], found[1]
+    return found[0], found[1], True
 
 
 FRAMES = Question(
@@ -143,7 +138,7 @@ def check_turned(
     text += "directions turn about the normal,"
     how: dict[str, Any] = {"size": float(misfit[worst]), "off": float(wrong.mean())}
     given = answer_of(matrices.function), normal.round(9).tolist()
-    how |= {"found": text, "shown": Claim(turned, elements, given)}
+    how |= {"found": text, "shown": Claim(turned, by_sample, given)}
     evidence.breach(FRAMES, guess, matrices.condition((worst, 0)), **how)
 
 
@@ -191,7 +186,7 @@ def check_world(
     size = np.where(asked, np.nan_to_num(off(m, turned)), 0.0)
     change = np.abs(there.light - here.light)
     same_light = (change <= SAME_LIGHT * here.light).all(axis=-1)
-    wrong = same_light & (size > ROUNDING + slack)
+    wrong = same_light & (size > ELEMENT_ROUNDING + slack)
     if not beyond_rounding(wrong):
         return
     worst = int(np.argmax(np.where(wrong, size, 0)))
@@ -204,7 +199,7 @@ def check_world(
     text += "surface is turned in the world,"
     how: dict[str, Any] = {"size": float(size[worst]), "off": float(wrong.mean())}
     what = answer_of(here.function)
-    how |= {"found": text, "shown": Claim(in_the_world, elements, (what,))}
+    how |= {"found": text, "shown": Claim(in_the_world, by_sample, (what,))}
     evidence.breach(FRAMES, mistake(here.function), here.condition((worst,)), **how)
 
 
@@ -260,7 +255,7 @@ def check_jumps(
     text += f"({condition}), on {len(size)} of {n_paths} paths over the sphere"
     how: dict[str, Any] = {"size": float(size[worst]) / 2, "off": len(size) / n_paths}
     given = answer_of(matrices.function), *zip(wi, wo)
-    how["shown"] = Claim(next_to, elements, given)
+    how["shown"] = Claim(next_to, by_sample, given)
     evidence.breach(FRAMES, guess, condition, statistic=text, **how)
 
 
