@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -244,6 +244,12 @@ class Samples:
         own = {name: value[mask] for name, value in self.matrices.items()}
         return replace(self, joint={}, asked=(), matrices=own, **kept)
 
+    def with_answers(self, answers: Mapping[str, Any], **others: Any) -> Samples:
+        """The same samples with further answers by name."""
+        own = _arrays(answers, self.n)
+        own["matrices"] = self.matrices | own["matrices"]
+        return replace(self, **own, **others)
+
     @property
     def random(self) -> tuple[mi.Float, mi.Point2f]:
         """Random numbers as ``sample`` takes them."""
@@ -261,21 +267,13 @@ class Samples:
 
 def drawn_samples(probe: Probe, sample1: mi.Float, sample2: mi.Point2f) -> Samples:
     """Answers of ``sample`` alone about random numbers."""
-    n = dr.width(sample1)
-    u, si = mi.Point3f(sample1, sample2.x, sample2.y), probe.interactions(n)
-    asked = Shared(probe), probe.condition.context, si, u
+    u = mi.Point3f(sample1, sample2.x, sample2.y)
+    asked = Shared(probe), probe.condition.context, probe.interactions(dr.width(u)), u
     bs, weight = drawn(*asked)
+    given = {"u": u, "wo": bs.wo, "weight": weight, "sampled_pdf": bs.pdf}
+    given |= {"type": bs.sampled_type, "component": bs.sampled_component, "eta": bs.eta}
     return Samples(
-        condition=probe.condition,
-        wo=spectral(bs.wo, n),
-        weight=spectral(weight, n),
-        sampled_pdf=numbers(bs.pdf, n).astype(float),
-        type=numbers(bs.sampled_type, n),
-        component=numbers(bs.sampled_component, n),
-        eta=numbers(bs.eta, n).astype(float),
-        u=np.column_stack([numbers(sample1, n), spectral(sample2, n)]),
-        matrices=_matrices(n, weight=weight),
-        asked=asked,
+        condition=probe.condition, asked=asked, **_arrays(given, dr.width(u))
     )
 
 
@@ -293,61 +291,58 @@ def samples_of(
     take most of the time, are not asked.
     """
     probe = Probe(bsdf, condition)
-    alone = drawn_samples(probe, *uniform(n, key))
-    plugin, ctx, si, u = alone.asked
-    wo = drawn(*alone.asked)[0].wo
-    value, pdf = plugin.eval(ctx, si, wo), plugin.pdf(ctx, si, wo)
-    alone = replace(
-        alone,
-        eval=spectral(value, n),
-        pdf=numbers(pdf, n).astype(float),
-        matrices=alone.matrices | _matrices(n, eval=value),
-    )
+    samples = drawn_samples(probe, *uniform(n, key))
+    plugin, ctx, si, u = samples.asked
+    wo, wi = drawn(*samples.asked)[0].wo, si.wi
+    answers: dict[str, Any] = {"eval": plugin.eval(ctx, si, wo)}
+    answers["pdf"] = plugin.pdf(ctx, si, wo)
     if not compared:
-        return alone
+        return samples.with_answers(answers)
     joint = _joint(plugin, ctx, si, wo, u)
-    other, back, wi = opposite(ctx), lit_from(si, wo), si.wi
-    other_mode = plugin.eval(other, si, wo)
-    reverse, reverse_other_mode = (plugin.eval(x, back, wi) for x in (ctx, other))
-    eval_slack, pdf_slack, reverse_slack = _changes(
+    other, back = opposite(ctx), lit_from(si, wo)
+    answers["other_mode"] = plugin.eval(other, si, wo)
+    answers["reverse"] = plugin.eval(ctx, back, wi)
+    answers["reverse_other_mode"] = plugin.eval(other, back, wi)
+    changes = _changes(
         (*_displaced(wi, wo, key), *_tilted(wi, wo)),
-        (lambda wi, wo: probe.eval(wo, wi=wi), value),
-        (lambda wi, wo: probe.pdf(wo, wi=wi), pdf),
-        (lambda wi, wo: probe.eval(wi, wi=wo), reverse),
+        (lambda wi, wo: probe.eval(wo, wi=wi), answers["eval"]),
+        (lambda wi, wo: probe.pdf(wo, wi=wi), answers["pdf"]),
+        (lambda wi, wo: probe.eval(wi, wi=wo), answers["reverse"]),
     )
-    return replace(
-        alone,
-        eval_slack=_no_less(_of_channels(eval_slack, n), spectral(value, n)),
-        pdf_slack=_no_less(numbers(pdf_slack, n), numbers(pdf, n)),
-        joint=joint,
-        other_mode=spectral(other_mode, n),
-        reverse=spectral(reverse, n),
-        reverse_slack=_no_less(_of_channels(reverse_slack, n), spectral(reverse, n)),
-        reverse_other_mode=spectral(reverse_other_mode, n),
-        matrices=alone.matrices | _matrices(n, other_mode=other_mode, reverse=reverse),
-    )
+    samples = samples.with_answers(answers, joint=joint)
+    slacks: dict[str, Any] = {
+        f"{name}_slack": _no_less(change, getattr(samples, name))
+        for name, change in zip(("eval", "pdf", "reverse"), changes)
+    }
+    return replace(samples, **slacks)
 
 
-def _matrices(n: int, **answers: Any) -> dict[str, Floats]:
-    """All elements of answers by name; nothing if they are no matrices."""
-    return {k: full(x, n) for k, x in answers.items() if dr.is_matrix_v(x)}
+def _arrays(answers: Mapping[str, Any], n: int) -> dict[str, Any]:
+    """Answers by name as arrays of samples, and all elements of those with matrices."""
+    found: dict[str, Any] = {"matrices": {}}
+    for name, answer in answers.items():
+        if dr.is_matrix_v(answer):
+            found["matrices"][name] = full(answer, n)
+        if dr.depth_v(answer) > 1:
+            found[name] = spectral(answer, n)
+        else:
+            kind = float if dr.is_float_v(answer) else int
+            found[name] = numbers(answer, n).astype(kind)
+    return found
 
 
-def _of_channels(slack: Numbers, n: int) -> Floats:
-    """Slack of each channel, (n, channels): of matrices the largest of all elements."""
-    return spectral(slack.max(axis=(0, 1)) if slack.ndim == 4 else slack, n)
-
-
-def _no_less(slack: Numbers, value: Numbers) -> Floats:
+def _no_less(change: Numbers, value: Floats) -> Floats:
     """Slack that is, relative to the value, at least the median of all samples.
 
     Where a difference of nearly equal numbers has few steps left, displacements may
-    change nothing by chance.
+    change nothing by chance. Of matrices it is the largest `change` of all elements.
     """
-    size = np.abs(value).astype(float)
+    change = change.max(axis=(0, 1)) if change.ndim == 4 else change
+    slack = np.broadcast_to(change.T, value.shape).astype(float)
+    size = np.abs(value)
     usable = (size > 0) & np.isfinite(size) & np.isfinite(slack)
     if not usable.any():
-        return slack.astype(float)
+        return slack
     half = np.median(slack[usable] / size[usable])
     return np.maximum(slack, half * np.where(np.isfinite(size), size, 0.0))
 
@@ -367,12 +362,8 @@ def _joint(plugin: Shared, ctx: Any, si: Any, wo: Any, u: Any) -> dict[str, Any]
         return answers
     random = u.x, mi.Point2f(u.y, u.z)
     *both, bs, weight = plugin.eval_pdf_sample(ctx, si, wo, *random)
-    return answers | {
-        "eval_pdf_sample": pair(*both),
-        "wo": spectral(bs.wo, n),
-        "weight": spectral(weight, n),
-        "pdf": numbers(bs.pdf, n).astype(float),
-    }
+    sampled = _arrays({"wo": bs.wo, "weight": weight, "pdf": bs.pdf}, n)
+    return answers | {"eval_pdf_sample": pair(*both)} | sampled
 
 
 def rounding(probe: Probe, key: tuple[int, ...]) -> list[float]:
