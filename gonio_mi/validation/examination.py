@@ -41,7 +41,7 @@ from .cosines import explain_reciprocity
 from .diagnosis import likely_mistake
 from .evidence import BIAS, MAX_P, NOISE, Evidence, Question
 from .maps import in_radiance_mode
-from .phase_functions import ASKED, as_bsdf, check_maps, check_symmetry
+from .phase_functions import ASKED, MAPPED, as_bsdf, check_rings, check_symmetry
 from .polarised import examine_polarised
 from .probe import Probe, number_parameters
 from .questions import OF_MATRICES, OF_SURFACES, OF_VOLUMES
@@ -251,15 +251,12 @@ def _steps(evidence: Evidence, plan: Effort) -> Iterator[float]:
     every = 1 if volumes else max(1, len(plan.angles) // 3)
     for samples in evidence.samples[::every] if components or not volumes else ():
         components_check.check_samples(evidence, samples)
-    if volumes:
-        evidence.ask("parameters")
-        check_maps(evidence, plan)
-        yield N_STEPS * (1 - SAMPLES_STEPS)
-        usual, brightest = ASKED[1], evidence.samples[1]
-    else:
+    if not volumes:
         _check_surface(evidence, sides)
-        evidence.ask("parameters")
-        yield from _check_maps(evidence, plan, sides, components)
+    evidence.ask("parameters")
+    yield from _check_maps(evidence, plan, sides, components)
+    usual, brightest = ASKED[1], evidence.samples[1]
+    if not volumes:
         usual, brightest = Condition(40.0, 25.0, sides[0]), _brightest(evidence)
     parameters.check_changes(evidence, plan, sides)
     gradients.check_samples(evidence, plan, brightest)
@@ -326,17 +323,21 @@ def _check_maps(
         _leave_undecided(evidence, "`eval` draws random numbers: it has no integral")
         evidence.downgraded |= dict.fromkeys(STATISTICAL, NOISE)
         return
-    conditions = list(plan.maps(sides, components))
+    volumes = evidence.of_volumes
+    conditions = list(MAPPED[plan] if volumes else plan.maps(sides, components))
     if evidence.bsdf.needs_differentials():
         conditions += [replace(conditions[0], differentials=True)]
-    other_mode = any(_depends_on_mode(evidence, one) for one in evidence.whole)
-    if other_mode:
-        conditions += [replace(one, mode="radiance") for one in plan.radiance(sides)]
+    if volumes:
+        in_radiance = conditions if evidence.in_radiance_mode else []
+    else:
+        other_mode = any(_depends_on_mode(evidence, one) for one in evidence.whole)
+        in_radiance = list(plan.radiance(sides)) if other_mode else []
+    conditions += [replace(one, mode="radiance") for one in in_radiance]
     failed = 0
     for i, condition in enumerate(conditions):
         failed += evidence.add_maps(plan, condition, 2, i) is None
         yield N_STEPS * (1 - SAMPLES_STEPS) / len(conditions)
-    if not other_mode:
+    if not (volumes or in_radiance):
         # the same integrals, other samples: their keys follow those of all conditions
         first = {maps.condition.side: maps for maps in reversed(evidence.maps)}
         for maps in [first[side] for side in sides if side in first]:
@@ -344,9 +345,18 @@ def _check_maps(
             evidence.maps.append(in_radiance_mode(evidence.bsdf, maps, key))
     for maps in evidence.maps:
         evidence.ask("maps", maps)
-    _look_between(evidence, plan, sides)
+    if not volumes:
+        _look_between(evidence, plan, sides)
     sampling.check_pooled(evidence)
     sampling.check_roulette(evidence)
+    if not volumes:
+        _note_undecided(evidence, failed, len(conditions), sides[0])
+    elif failed:
+        check_rings(evidence)
+
+
+def _note_undecided(evidence: Evidence, failed: int, n: int, side: str) -> None:
+    """Note what is not known without light, or where of `n` integrals some `failed`."""
     lit = any(samples.given.any() for samples in evidence.samples)
     lit = lit or any(m.smooth_flux.any() for m in evidence.maps)
     if not (lit or failed):
@@ -355,14 +365,14 @@ def _check_maps(
         )
         text = "no light was scattered, so that nothing was compared"
         if other := next(dark, None):
-            text = OF_ANOTHER_SIDE.format(sides[0], other.fields["side"])
+            text = OF_ANOTHER_SIDE.format(side, other.fields["side"])
         _leave_undecided(evidence, text)
     if failed:
         text = (
-            f"the integrals of {failed} of {len(conditions)} incident directions did "
+            f"the integrals of {failed} of {n} incident directions did "
             "not converge: it would take more effort, or a smoother lobe"
         )
-        if failed == len(conditions):
+        if failed == n:
             _leave_undecided(evidence, text)
         for name in STATISTICAL:
             evidence.remark(name, text)
