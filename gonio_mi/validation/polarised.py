@@ -6,6 +6,7 @@ unpolarised variant judges.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -19,7 +20,7 @@ from ..specimen.loading import loaded
 from .checks import answers, energy, frames
 from .checks.consistency import check_sweep
 from .checks.matrices import SAME_DIRECTION
-from .conditions import PLACES, Effort, Sweep, sides_of
+from .conditions import PLACES, Condition, Effort, Given, Sweep, sides_of
 from .evidence import Evidence
 from .mistakes import EVAL
 from .mueller import (
@@ -80,9 +81,22 @@ def examine_polarised(evidence: Evidence, plan: Effort, specimen: Any) -> None:
         pairs.check_world()
     if not any(map(evidence.of, answers.AGREEMENTS)):
         check_sweep(evidence, plan, sides)
-    for condition in plan.checks(sides, ()):
-        random = uniform(sweep.n // 2, key)
-        energy.check_gain(evidence, drawn_samples(Probe(bsdf, condition), *random))
+    _check_energy(evidence, list(plan.checks(sides, ())), sweep.n // 2, key)
+
+
+def _check_energy(
+    evidence: Evidence, conditions: Sequence[Condition], n: int, key: tuple[int, ...]
+) -> None:
+    """Check the flux of `n` samples of each incident direction, drawn together."""
+    wi, uv = (
+        np.repeat([getattr(one, name) for one in conditions], n, axis=0)
+        for name in ("wi", "uv")
+    )
+    probe = Probe(evidence.bsdf, Given(lit_by=wi, at=uv))
+    samples = drawn_samples(probe, *uniform(len(wi), key))
+    for i, condition in enumerate(conditions):
+        own = samples.select(np.s_[i * n : (i + 1) * n])
+        energy.check_gain(evidence, replace(own, condition=condition))
 
 
 def _check_straight(evidence: Evidence, samples: Samples) -> None:

@@ -234,8 +234,8 @@ class Samples:
         """Mask of directions on the lit side."""
         return self.wo[:, 2] * self.wi[:, 2] > 0
 
-    def select(self, mask: Flags) -> Samples:
-        """Samples of the mask, without answers of the joint functions."""
+    def select(self, mask: Any) -> Samples:
+        """Samples of a mask, or a slice, without answers of the joint functions."""
         kept: dict[str, Any] = {
             name: value[mask]
             for name, value in vars(self).items()
@@ -299,22 +299,29 @@ def samples_of(
     if not compared:
         return samples.with_answers(answers)
     joint = _joint(plugin, ctx, si, wo, u)
-    other, back = opposite(ctx), lit_from(si, wo)
-    answers["other_mode"] = plugin.eval(other, si, wo)
-    answers["reverse"] = plugin.eval(ctx, back, wi)
-    answers["reverse_other_mode"] = plugin.eval(other, back, wi)
-    changes = _changes(
-        (*_displaced(wi, wo, key), *_tilted(wi, wo)),
-        (lambda wi, wo: probe.eval(wo, wi=wi), answers["eval"]),
-        (lambda wi, wo: probe.pdf(wo, wi=wi), answers["pdf"]),
-        (lambda wi, wo: probe.eval(wi, wi=wo), answers["reverse"]),
-    )
+    functions: dict[str, Any] = {
+        "eval": lambda wi, wo: probe.eval(wo, wi=wi),
+        "pdf": lambda wi, wo: probe.pdf(wo, wi=wi),
+    }
+    if not mi.is_polarized or _goes_both_ways(condition):
+        other, back = opposite(ctx), lit_from(si, wo)
+        answers["other_mode"] = plugin.eval(other, si, wo)
+        answers["reverse"] = plugin.eval(ctx, back, wi)
+        answers["reverse_other_mode"] = plugin.eval(other, back, wi)
+        functions["reverse"] = lambda wi, wo: probe.eval(wi, wi=wo)
+    displaced = (*_displaced(wi, wo, key), *_tilted(wi, wo))
+    changes = _changes(displaced, *((f, answers[k]) for k, f in functions.items()))
     samples = samples.with_answers(answers, joint=joint)
     slacks: dict[str, Any] = {
         f"{name}_slack": _no_less(change, getattr(samples, name))
-        for name, change in zip(("eval", "pdf", "reverse"), changes)
+        for name, change in zip(functions, changes)
     }
     return replace(samples, **slacks)
+
+
+def _goes_both_ways(condition: Condition) -> bool:
+    """Whether matrices are compared with those of the other mode and way."""
+    return condition.mode == "importance" and not condition.fields
 
 
 def _arrays(answers: Mapping[str, Any], n: int) -> dict[str, Any]:

@@ -179,9 +179,10 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
         # components of a vector may be negative
         (SAMPLE, "direction", np.abs(samples.wo), given),
         (EVAL, "value", samples.full("eval"), smooth),
-        (EVAL, "value", samples.full("reverse"), smooth),
         (PDF, "value", samples.pdf, smooth),
     ]
+    if samples.reverse is not None:
+        cases.insert(4, (EVAL, "value", samples.full("reverse"), smooth))
     for name in ("eval_pdf", "eval_pdf_sample"):
         joint = samples.joint.get(name, ())
         cases += [(Function.named(name), "value", x, smooth) for x in joint]
