@@ -104,9 +104,9 @@ class Question:
         Takes the evidence and guesses what is wrong, where it is not the worst breach.
     checks : dict of list
         Functions that take the evidence, by when :meth:`Evidence.ask` calls them:
-        about ``"samples"`` or ``"maps"`` of one condition, a ``"sweep"`` of many, the
-        ``"bsdf"``, or after these about other ``"parameters"``, to which some plugins
-        do not return.
+        about ``"samples"``, all elements of their ``"matrices"``, or ``"maps"`` of one
+        condition, a ``"sweep"`` of many, the ``"bsdf"``, or after these about other
+        ``"parameters"``, to which some plugins do not return.
     """
 
     name: str

@@ -22,7 +22,10 @@ from gonio_mi.collector.stokes import (
     turn,
 )
 from gonio_mi.validation import POLARISED, validate
+from gonio_mi.validation.checks import answers
+from gonio_mi.validation.conditions import Condition
 from gonio_mi.validation.mueller import flux_of, samples_at
+from gonio_mi.validation.samples import ELEMENT_ROUNDING, samples_of, unequal
 
 SEEDS = max(12, int(os.environ.get("GONIO_SEEDS", "1")))
 VARIANT = "llvm_ad_mono_polarized"
@@ -112,6 +115,32 @@ def test_eigenvalues_tell_real_surfaces():
     assert np.allclose(least, [0, 0, 0, 1], atol=1e-12)
     assert coherency_eigenvalues(np.diag([1, 1, 1, -1]) @ surface)[0] < -0.1
     assert np.allclose(coherency_eigenvalues(np.diag([1.0, 0, 0, 0])), 0.25)
+
+
+@pytest.mark.parametrize("fixture", ["mono", "polarised"])
+def test_samples_have_all_elements(request, fixture):
+    """Matrices beside their first elements; numbers are all there is without."""
+    request.getfixturevalue(fixture)
+    bsdf = mi.load_dict({"type": "conductor", "eta": 0.2, "k": 3.0})
+    samples = samples_of(bsdf, Condition(40.0, 25.0), 8, (0, 1))
+    weight = samples.full("weight")
+    assert weight.shape == ((8, 1, 4, 4) if samples.matrices else (8, 1))
+    assert np.array_equal(weight.reshape(8, 1, -1)[..., 0], samples.weight)
+    assert bool(samples.matrices) == (fixture == "polarised")
+
+
+def test_elements_are_judged_by_the_first_one():
+    """Alike within a part of it, of either sign; the twins are one too far off."""
+    due = np.tile(np.diag([0.5, -0.4, 0.0, 0.0]), (100, 1, 1, 1))
+    for off, differs in ((0.4 * ELEMENT_ROUNDING, False), (ELEMENT_ROUNDING, True)):
+        other = due.copy()
+        other[..., 2, 1] += off
+        assert unequal(due, other, 0.0).all() == differs
+    assert not answers.improper(due).any()
+    for element, value in (((0, 0), -0.1), ((1, 2), np.nan)):
+        other = due.copy()
+        other[(7, 0, *element)] = value
+        assert np.flatnonzero(answers.improper(other)).tolist() == [7]
 
 
 # Stock plugins: whether the property frames holds, and a word of the mistake.
