@@ -20,7 +20,8 @@ def realisable(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> tuple[Any]:
     m = per_first(np.nan_to_num(full(what(bsdf, ctx, si, bs.wo, u))))
     pauli = np.array([[1, 0, 0, 1], [1, 0, 0, -1], [0, 1, 1, 0], [0, -1j, 1j, 0]])
     pauli = pauli.reshape(4, 2, 2)
-    coherency = np.einsum("ijcn,iab,jde->cnadbe", m, pauli, pauli.conj()) / 4
+    products = np.einsum("iab,jde->ijadbe", pauli, pauli.conj()) / 4
+    coherency = np.tensordot(m, products, ([0, 1], [0, 1]))
     least = np.linalg.eigvalsh(coherency.reshape(*m.shape[2:], 4, 4))[..., 0]
     return (least + 5e-4,)
 
