@@ -21,7 +21,7 @@ def realisable(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> tuple[Any]:
     pauli = np.array([[1, 0, 0, 1], [1, 0, 0, -1], [0, 1, 1, 0], [0, -1j, 1j, 0]])
     pauli = pauli.reshape(4, 2, 2)
     products = np.einsum("iab,jde->ijadbe", pauli, pauli.conj()) / 4
-    coherency = np.tensordot(m, products, ([0, 1], [0, 1]))
+    coherency = np.einsum("ijcn,ijadbe->cnadbe", m, products)
     least = np.linalg.eigvalsh(coherency.reshape(*m.shape[2:], 4, 4))[..., 0]
     return (least + 5e-4,)
 
