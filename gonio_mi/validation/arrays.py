@@ -26,11 +26,9 @@ def rows(answer: Any) -> Any:
 
 def full(answer: Any) -> Any:
     """The same, of Mueller matrices all elements, (4, 4, channels, n)."""
-    if not dr.is_matrix_v(answer):
-        return rows(answer)
-    each = [rows(answer[i, j]) for i in range(4) for j in range(4)]
-    every = np.array(np.broadcast_arrays(*each))
-    return every.reshape(4, 4, *every.shape[1:])
+    m = [answer[i // 4, i % 4] for i in range(16)] if dr.is_matrix_v(answer) else []
+    each = np.broadcast_arrays(*map(rows, m or [answer]))
+    return np.reshape(each, (4, 4, *each[0].shape)) if m else each[0]
 
 
 def drawn(bsdf: Any, ctx: Any, si: Any, u: Any, active: Any = True) -> Any:

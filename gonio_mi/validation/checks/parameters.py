@@ -57,8 +57,7 @@ def followed(
     params = parameters(bsdf)
     own = params[name]
     other = dr.select(own == 0, 0.5, own / 2) if to is None else type(own)(to)
-    params[name] = other
-    params.update()
+    params.update({name: other})
     return stated(bsdf, ctx, si, u)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...array_types import Flags, Floats
 from ...single_precision import BSDF_ROUNDING
-from ..arrays import Sides, density, drawn, full, of_eval, rows, smooth, value
+from ..arrays import Sides, density, drawn, full, rows, smooth, value
 from ..densities import Means
 from ..evidence import BIAS, INTERFACE, SAME, SAMPLED, Evidence, Question
 from ..judgements import apart, by_sample
@@ -28,8 +28,8 @@ from .matrices import breach_of_elements
 def sampled_weight(bsdf: Any, ctx: Any, si: Any, u: Any) -> Sides:
     """Weight times pdf is `eval`."""
     bs, weight = drawn(bsdf, ctx, si, u)
-    flux = full(weight) * density(bsdf, ctx, si, bs.wo)
-    return flux, full(of_eval(bsdf, ctx, si, bs.wo)), smooth(bs, weight)
+    flux = full(weight) * rows(bsdf.pdf(ctx, si, bs.wo, True))
+    return flux, full(bsdf.eval(ctx, si, bs.wo, True)), smooth(bs, weight)
 
 
 SAMPLED_WEIGHT = Question(
