@@ -172,7 +172,12 @@ class Sweep(Condition):
 
     @cached_property
     def wavelengths(self) -> Floats:
-        """Wavelengths of each in nm, shape (n, channels)."""
+        """Wavelengths of each in nm, shape (n, channels).
+
+        Of matrices the same for all, since pairs beside samples have those.
+        """
+        if mi.is_polarized:
+            return np.tile(self.nm, (self.n, 1))
         low, high = SWEPT_NM
         channels = np.arange(len(self.nm)) / len(self.nm)
         turns = (np.arange(self.n)[:, None] * 2**0.5 + channels) % 1

@@ -162,7 +162,7 @@ def eval_at(
 
     What else is `asked` is of a condition.
     """
-    condition = given(wi, uv, **asked)
+    condition = condition_of(wi, uv, **asked)
     answer, n = Probe(bsdf, condition).eval(vectors(wo)), len(condition.wi)
     raw = full(answer, n).reshape(*wi.shape[:-1], -1, 4, 4)
     uv = np.broadcast_to(uv, (*wi.shape[:-1], 2))
@@ -187,7 +187,9 @@ def samples_at(
     bsdf: mi.BSDF, wi: Floats, random: Floats, uv: Numbers = MIDDLE, **asked: Any
 ) -> Samples:
     """Samples for incident directions and random numbers of (..., 3), in one row."""
-    return drawn_samples(Probe(bsdf, given(wi, uv, **asked)), *random_numbers(random))
+    return drawn_samples(
+        Probe(bsdf, condition_of(wi, uv, **asked)), *random_numbers(random)
+    )
 
 
 def lobe_slack(bsdf: mi.BSDF, samples: Samples) -> Floats:
@@ -202,7 +204,7 @@ def lobe_slack(bsdf: mi.BSDF, samples: Samples) -> Floats:
     return slack_of(per_light(found.full("weight").reshape(3, n, -1, 4, 4)))
 
 
-def given(wi: Floats, uv: Numbers, **asked: Any) -> Given:
+def condition_of(wi: Floats, uv: Numbers, **asked: Any) -> Given:
     """Condition of directions of (..., 3), and of places, in one row."""
     at = np.broadcast_to(uv, (*wi.shape[:-1], 2)).reshape(-1, 2)
     return Given(lit_by=wi.reshape(-1, 3), at=at, **asked)

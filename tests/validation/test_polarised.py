@@ -254,6 +254,20 @@ def test_mistake_is_seen_and_its_function_named(name):
     assert words in verdict.mistake, str(verdict)
 
 
+def test_a_metal_of_many_wavelengths_is_right():
+    """Gold, whose matrices depend on the wavelength; all pairs have the same ones."""
+    before, variant = mi.variant(), "llvm_ad_spectral_polarized"
+    if variant not in mi.variants():
+        pytest.skip(f"this Mitsuba has no {variant}")
+    mi.set_variant(variant)
+    try:
+        gold = {"type": "conductor", "material": "Au"}
+        verdict = validate(gold, effort="quick", strict=True)
+    finally:
+        mi.set_variant(before)
+    assert verdict.passed, str(verdict)
+
+
 @pytest.mark.usefixtures("polarised")
 def test_retarder_turns_its_axis_from_one_side_only():
     """Near the normal the axis is where it says in radiance mode, else mirrored."""
