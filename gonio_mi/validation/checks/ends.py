@@ -21,7 +21,7 @@ from ..arrays import (
     rows,
     sphere,
 )
-from ..conditions import Condition
+from ..conditions import Condition, Given
 from ..evidence import BIAS, INTERFACE, SAME, Evidence, Question, answered
 from ..judgements import improper as any_improper, same
 from ..mistakes import EVAL, PDF, SAMPLE, Claim, Function, Mistake
@@ -179,15 +179,15 @@ def check_straight(evidence: Evidence, question: Question = ENDS) -> None:
     """
     wi = np.random.default_rng(0).normal(size=(N_STRAIGHT, 3))
     wi /= np.linalg.norm(wi, axis=1)[:, None]
-    condition = Condition(0.0, lit=tuple(wi[0]))
-    probe = Probe(evidence.bsdf, condition)
+    middle = np.full((N_STRAIGHT, 2), 0.5)
+    probe = Probe(evidence.bsdf, Given(lit_by=wi, at=middle))
     for words, wo in (
         ("wo = wi", wi),
         ("wo = -wi", -wi),
         ("wo in the mirror direction", wi * [-1, -1, 1]),
     ):
-        values = full(probe.eval(vectors(wo), wi=vectors(wi)), N_STRAIGHT)
-        answers = values, probe.densities(wo, wi)
+        values = full(probe.eval(vectors(wo)), N_STRAIGHT)
+        answers = values, probe.densities(wo)
         for function, answer in zip((EVAL, PDF), answers):
             wrong = ~np.isfinite(answer).reshape(N_STRAIGHT, -1).all(axis=1)
             if wrong.any():
