@@ -24,6 +24,13 @@ def rows(answer: Any) -> Any:
     return np.array(np.broadcast_arrays(*(np.array(x, float) for x in each)))
 
 
+def full(answer: Any) -> Any:
+    """The same, of Mueller matrices all elements, (4, 4, channels, n)."""
+    m = [answer[i // 4, i % 4] for i in range(16)] if dr.is_matrix_v(answer) else []
+    each = np.broadcast_arrays(*map(rows, m or [answer]))
+    return np.reshape(each, (4, 4, *each[0].shape)) if m else each[0]
+
+
 def drawn(bsdf: Any, ctx: Any, si: Any, u: Any, active: Any = True) -> Any:
     """Samples and their weights."""
     return bsdf.sample(ctx, si, u.x, mi.Point2f(u.y, u.z), active)
@@ -157,6 +164,15 @@ def answer_of(function: Function) -> Callable[..., Any]:
 def per_first(m: Any) -> Any:
     """Elements over the first one."""
     return m / np.fmax(m[0, 0], 1e-30)
+
+
+def unsigned(m: Any) -> Any:
+    """Elements without signs but for the first; numbers as they are."""
+    if m.ndim < 4:
+        return m
+    sizes = np.abs(m)
+    sizes[0, 0] = m[0, 0]
+    return sizes
 
 
 def in_plane(

@@ -172,7 +172,12 @@ class Sweep(Condition):
 
     @cached_property
     def wavelengths(self) -> Floats:
-        """Wavelengths of each in nm, shape (n, channels)."""
+        """Wavelengths of each in nm, shape (n, channels).
+
+        Of matrices the same for all, since pairs beside samples have those.
+        """
+        if mi.is_polarized:
+            return np.tile(self.nm, (self.n, 1))
         low, high = SWEPT_NM
         channels = np.arange(len(self.nm)) / len(self.nm)
         turns = (np.arange(self.n)[:, None] * 2**0.5 + channels) % 1
@@ -212,6 +217,33 @@ class Sweep(Condition):
 
     def __str__(self) -> str:
         return f"all angles of incidence{self._more}"
+
+
+@dataclass(frozen=True, eq=False)
+class Given(Condition):
+    """Incident directions and places that are given, one for each sample.
+
+    Attributes
+    ----------
+    lit_by : ndarray, shape (n, 3)
+        Unit vectors to the source.
+    at : ndarray, shape (n, 2)
+        Texture coordinates.
+    """
+
+    theta_i: float = 50.0
+    lit_by: Any = None
+    at: Any = None
+
+    @property
+    def wi(self) -> Floats:
+        """Unit vectors to the source, shape (n, 3), in local coordinates."""
+        return self.lit_by
+
+    @property
+    def uvs(self) -> Floats:
+        """Texture coordinates of each, shape (n, 2)."""
+        return self.at
 
 
 @lru_cache(4)
@@ -329,6 +361,11 @@ class Effort:
     map_angles: tuple[float, ...]
     few_angles: tuple[float, ...]
     threads: int | None = None
+
+    @property
+    def lanes(self) -> int:
+        """Samples `checked`; a 16th of Mueller matrices, which have 16 elements."""
+        return self.checked // (16 if mi.is_polarized else 1)
 
     @property
     def patches(self) -> Borders:

@@ -104,8 +104,9 @@ class Question:
         Takes the evidence and guesses what is wrong, where it is not the worst breach.
     checks : dict of list
         Functions that take the evidence, by when :meth:`Evidence.ask` calls them:
-        about ``"samples"`` or ``"maps"`` of one condition, about the ``"bsdf"``, or
-        after these about other ``"parameters"``, to which some plugins do not return.
+        about ``"samples"``, all elements of their ``"matrices"``, or ``"maps"`` of one
+        condition, a ``"sweep"`` of many, the ``"bsdf"``, or after these about other
+        ``"parameters"``, to which some plugins do not return.
     """
 
     name: str
@@ -251,6 +252,8 @@ class Evidence:
         Of conditions under which it is not importance mode over eta^2.
     note : str
         What a verdict adds to its headline if nothing fails.
+    load : callable or None
+        Loads the same plugin again, in the variant that is set; None if nobody knows.
     """
 
     bsdf: mi.BSDF = None
@@ -267,13 +270,14 @@ class Evidence:
     sweeps: list[Samples] = field(default_factory=list)
     in_radiance_mode: list[Samples] = field(default_factory=list)
     note: str = ""
+    load: Callable[[], mi.BSDF] | None = None
 
     @property
     def of_volumes(self) -> bool:
         """Whether it is about a phase function."""
         return hasattr(self.bsdf, "phase_function")
 
-    def ask(self, about: str, *given: Samples | FourMaps) -> None:
+    def ask(self, about: str, *given: Any) -> None:
         """Call all checks about something, by order of questions."""
         for question in self.questions:
             for check in question.checks.get(about, ()):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -41,7 +41,7 @@ from .cosines import explain_reciprocity
 from .diagnosis import likely_mistake
 from .evidence import BIAS, MAX_P, NOISE, Evidence, Question
 from .maps import in_radiance_mode
-from .phase_functions import ASKED, as_bsdf, check_maps, check_symmetry
+from .phase_functions import ASKED, MAPPED, as_bsdf, check_rings, check_symmetry
 from .polarised import examine_polarised
 from .probe import Probe, number_parameters
 from .questions import OF_MATRICES, OF_SURFACES, OF_VOLUMES
@@ -131,18 +131,13 @@ def validate(
     questions = _questions(bsdf, name, allow)
     polarised = questions is OF_MATRICES
     evidence = Evidence(bsdf, seed, questions)
-    n_asked = 0
+    if not isinstance(specimen, mi.Object):
+        evidence.load = lambda: _bsdf(specimen)[0]
     try:
         if polarised:
-            load = None
-            if not isinstance(specimen, mi.Object):
-                load = lambda: _bsdf(specimen)[0]  # noqa: E731
-            n_asked = examine_polarised(evidence, effort, specimen, load)
+            examine_polarised(evidence, plan, specimen)
         else:
-            load = None
-            if isinstance(specimen, dict):
-                load = lambda: _bsdf(specimen)[0]  # noqa: E731
-            _examine(evidence, plan, name, load, progress)
+            _examine(evidence, plan, name, progress)
     except PluginFault as fault:
         _stop(evidence, fault)
     properties = properties_of(evidence, alpha, allow)
@@ -154,7 +149,7 @@ def validate(
     asked = [m.totals.n for m in evidence.maps] + [one.n for one in evidence.samples]
     settings = {"effort": effort, "seed": seed, "alpha": alpha, "allow": list(allow)}
     settings |= {"strict": bool(strict), "variant": mi.variant(), "tints": tints}
-    settings |= {"n_tests": len(evidence.tests), "n_samples": n_asked + sum(asked)}
+    settings |= {"n_tests": len(evidence.tests), "n_samples": sum(asked)}
     return Verdict(
         name,
         tuple(properties),
@@ -233,19 +228,16 @@ def _examine(
     evidence: Evidence,
     plan: Effort,
     name: str,
-    load: Callable[[], mi.BSDF] | None,
     progress: bool,
 ) -> None:
     """Run all checks with a progress bar."""
     with bar(progress, total=N_STEPS, desc=f"validate {name}", unit="step") as report:
-        for step in _steps(evidence, plan, load):
+        for step in _steps(evidence, plan):
             if report is not None:
                 report(step)
 
 
-def _steps(
-    evidence: Evidence, plan: Effort, load: Callable[[], mi.BSDF] | None
-) -> Iterator[float]:
+def _steps(evidence: Evidence, plan: Effort) -> Iterator[float]:
     """Run all checks, those that explain most first; yield steps of `N_STEPS`."""
     bsdf, seed, volumes = evidence.bsdf, evidence.seed, evidence.of_volumes
     n = bsdf.component_count()
@@ -259,22 +251,19 @@ def _steps(
     every = 1 if volumes else max(1, len(plan.angles) // 3)
     for samples in evidence.samples[::every] if components or not volumes else ():
         components_check.check_samples(evidence, samples)
-    if volumes:
-        evidence.ask("parameters")
-        check_maps(evidence, plan)
-        yield N_STEPS * (1 - SAMPLES_STEPS)
-        usual, brightest = ASKED[1], evidence.samples[1]
-    else:
+    if not volumes:
         _check_surface(evidence, sides)
-        evidence.ask("parameters")
-        yield from _check_maps(evidence, plan, sides, components)
+    evidence.ask("parameters")
+    yield from _check_maps(evidence, plan, sides, components)
+    usual, brightest = ASKED[1], evidence.samples[1]
+    if not volumes:
         usual, brightest = Condition(40.0, 25.0, sides[0]), _brightest(evidence)
     parameters.check_changes(evidence, plan, sides)
     gradients.check_samples(evidence, plan, brightest)
     if plan is not Effort.named("quick") and not volumes:
         cost.check_time(evidence, usual)  # it takes a second
     check_memory(evidence)
-    parameters.check_instances(evidence, load)
+    parameters.check_instances(evidence)
     cost.check_recorded(evidence, usual)
 
 
@@ -334,17 +323,21 @@ def _check_maps(
         _leave_undecided(evidence, "`eval` draws random numbers: it has no integral")
         evidence.downgraded |= dict.fromkeys(STATISTICAL, NOISE)
         return
-    conditions = list(plan.maps(sides, components))
+    volumes = evidence.of_volumes
+    conditions = list(MAPPED[plan] if volumes else plan.maps(sides, components))
     if evidence.bsdf.needs_differentials():
         conditions += [replace(conditions[0], differentials=True)]
-    other_mode = any(_depends_on_mode(evidence, one) for one in evidence.whole)
-    if other_mode:
-        conditions += [replace(one, mode="radiance") for one in plan.radiance(sides)]
+    if volumes:
+        in_radiance = conditions if evidence.in_radiance_mode else []
+    else:
+        other_mode = any(_depends_on_mode(evidence, one) for one in evidence.whole)
+        in_radiance = list(plan.radiance(sides)) if other_mode else []
+    conditions += [replace(one, mode="radiance") for one in in_radiance]
     failed = 0
     for i, condition in enumerate(conditions):
         failed += evidence.add_maps(plan, condition, 2, i) is None
         yield N_STEPS * (1 - SAMPLES_STEPS) / len(conditions)
-    if not other_mode:
+    if not (volumes or in_radiance):
         # the same integrals, other samples: their keys follow those of all conditions
         first = {maps.condition.side: maps for maps in reversed(evidence.maps)}
         for maps in [first[side] for side in sides if side in first]:
@@ -352,9 +345,18 @@ def _check_maps(
             evidence.maps.append(in_radiance_mode(evidence.bsdf, maps, key))
     for maps in evidence.maps:
         evidence.ask("maps", maps)
-    _look_between(evidence, plan, sides)
+    if not volumes:
+        _look_between(evidence, plan, sides)
     sampling.check_pooled(evidence)
     sampling.check_roulette(evidence)
+    if not volumes:
+        _note_undecided(evidence, failed, len(conditions), sides[0])
+    elif failed:
+        check_rings(evidence)
+
+
+def _note_undecided(evidence: Evidence, failed: int, n: int, side: str) -> None:
+    """Note what is not known without light, or where of `n` integrals some `failed`."""
     lit = any(samples.given.any() for samples in evidence.samples)
     lit = lit or any(m.smooth_flux.any() for m in evidence.maps)
     if not (lit or failed):
@@ -363,14 +365,14 @@ def _check_maps(
         )
         text = "no light was scattered, so that nothing was compared"
         if other := next(dark, None):
-            text = OF_ANOTHER_SIDE.format(sides[0], other.fields["side"])
+            text = OF_ANOTHER_SIDE.format(side, other.fields["side"])
         _leave_undecided(evidence, text)
     if failed:
         text = (
-            f"the integrals of {failed} of {len(conditions)} incident directions did "
+            f"the integrals of {failed} of {n} incident directions did "
             "not converge: it would take more effort, or a smoother lobe"
         )
-        if failed == len(conditions):
+        if failed == n:
             _leave_undecided(evidence, text)
         for name in STATISTICAL:
             evidence.remark(name, text)

@@ -11,7 +11,6 @@ assumes one mistake, and the reading in which the matrices make sense names it.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -20,8 +19,8 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from ..array_types import Flags, Floats, Integers, Numbers
-from ..collector.directions import angles, direction
+from ..array_types import Flags, Floats, Numbers
+from ..collector.directions import angles
 from ..collector.stokes import (
     EXCHANGE,
     UPRIGHT,
@@ -30,95 +29,17 @@ from ..collector.stokes import (
     reframed,
     turn,
 )
-from ..mitsuba_compat import floats
 from ..single_precision import BSDF_ROUNDING
-from .conditions import N_SPOTS, Condition
+from .conditions import Condition, Given
 from .mistakes import EVAL, SAMPLE, Function, Mistake
-from .probe import Probe, numbers, random_numbers, spectral, vectors
-from .samples import SLACK, ULPS
+from .probe import Probe, full, random_numbers, vectors
+from .samples import SLACK, ULPS, Samples, drawn_samples
 
 # Texture coordinates.
 MIDDLE = np.array([0.5, 0.5])
 
 # First elements below which nothing is said of the others, of the largest.
 MIN_LIGHT = 1e-12
-
-
-class MuellerProbe:
-    """The functions of a BSDF in one transport mode, for pairs of directions.
-
-    Texture coordinates `uv` are of shape (..., 2), and are broadcast to the directions.
-
-    Parameters
-    ----------
-    bsdf : mi.BSDF
-    mode : {"importance", "radiance"}
-    **others
-        Of the condition, such as `turned` or `fields`, which each direction has others
-        of.
-    """
-
-    def __init__(self, bsdf: mi.BSDF, mode: str = "importance", **others: Any) -> None:
-        self.asked, self.n_asked = Condition(0.0, mode=mode, **others), 0
-        self._probe = Probe(bsdf, self.asked)
-
-    def eval(self, wi: Floats, wo: Floats, uv: Numbers = MIDDLE) -> Matrices:
-        """Matrices of ``eval`` for directions of shape (..., 3)."""
-        answer = self._placed(wi, uv).eval(vectors(wo))
-        return self._matrices(EVAL, wi, wo, uv, answer)
-
-    def pdf(self, wi: Floats, wo: Floats, uv: Numbers = MIDDLE) -> Floats:
-        """Densities for directions of shape (n, 3); shape (n,)."""
-        return self._placed(wi, uv).densities(wo)
-
-    def eval_with_slack(
-        self, wi: Floats, wo: Floats, uv: Numbers = MIDDLE
-    ) -> tuple[Matrices, Floats]:
-        """Matrices of ``eval``, and what rounding may leave in their elements, (...).
-
-        The slack is relative to the first element: what displacing both directions by
-        rounding errors changes, as of unpolarised answers.
-        """
-        rng = np.random.default_rng(wi[..., 0].size)
-        steps = [ULPS * (2 * rng.random((2, *wi.shape)) - 1) for _ in range(2)]
-        moves = np.stack([np.zeros_like(steps[0]), *steps])
-        answers = self.eval(wi + moves[:, 0], wo + moves[:, 1], uv)
-        return answers.take(0), slack_of(per_light(answers.raw))
-
-    def eval_pdf(
-        self, wi: Floats, wo: Floats, uv: Numbers = MIDDLE
-    ) -> tuple[Matrices, Floats]:
-        """Both answers of ``eval_pdf`` for directions of shape (n, 3)."""
-        value, pdf = self._placed(wi, uv).eval_pdf(vectors(wo))
-        values = self._matrices(Function.EVAL_PDF, wi, wo, uv, value)
-        return values, numbers(pdf, len(wi)).astype(float)
-
-    def sample(self, wi: Floats, random: Floats, uv: Numbers = MIDDLE) -> Lobes:
-        """Answers of ``sample`` for directions and random numbers of (..., 3)."""
-        shape, n = wi.shape[:-1], wi[..., 0].size
-        bs, weight = self._placed(wi, uv).sample(*random_numbers(random))
-        wo = spectral(bs.wo, n).reshape(wi.shape)
-        return Lobes(
-            self._matrices(SAMPLE, wi, wo, uv, weight),
-            numbers(bs.pdf, n).astype(float).reshape(shape),
-            numbers(bs.sampled_type, n).astype(np.int64).reshape(shape),
-        )
-
-    def _placed(self, wi: Floats, uv: Numbers) -> Probe:
-        """Probe that asks from each direction, at its texture coordinates."""
-        n, probe = wi[..., 0].size, self._probe
-        self.n_asked += n
-        uv = np.broadcast_to(uv, (*wi.shape[:-1], 2)).reshape(-1, 2)
-        probe.wi, probe.uv = vectors(wi), mi.Point2f(*map(floats, uv.T))
-        probe.spots = mi.UInt32(np.arange(n) % wi.shape[-2] % N_SPOTS)
-        return probe
-
-    def _matrices(
-        self, function: Function, wi: Floats, wo: Floats, uv: Numbers, answer: Any
-    ) -> Matrices:
-        shape = wi.shape[:-1]
-        uv, raw = np.broadcast_to(uv, (*shape, 2)), elements(answer, shape)
-        return Matrices(function, self.asked, wi, wo, uv, raw)
 
 
 @dataclass(frozen=True)
@@ -136,8 +57,6 @@ class Matrices:
         Texture coordinates.
     raw : ndarray, shape (..., channels, 4, 4)
         In Mitsuba's frames.
-    size : ndarray, shape (...), optional
-        By how much they are wrong; the worst is told of.
     """
 
     function: Function
@@ -146,7 +65,6 @@ class Matrices:
     wo: Floats
     uv: Floats
     raw: Floats
-    size: Floats | None = None
 
     @property
     def beams(self) -> tuple[Floats, Floats]:
@@ -154,13 +72,6 @@ class Matrices:
         if self.asked.mode == "importance":
             return -self.wi, self.wo
         return -self.wo, self.wi
-
-    @property
-    def in_mode(self) -> str:
-        """Text that names the mode and fields in which alone something is wrong."""
-        if self.asked.fields:
-            return f", with other si.{', si.'.join(self.asked.fields)}"
-        return ", in radiance mode (ctx.mode)" if self.asked.mode == "radiance" else ""
 
     @property
     def light(self) -> Floats:
@@ -205,22 +116,6 @@ class Matrices:
         """Matrices in frames of s = k x normal, shape (..., channels, 4, 4)."""
         return reframed(self.raw, *self.turns(normal))
 
-    def place(self, wrong: Flags) -> str:
-        """Text that names the place of those that are `wrong`, if they share one."""
-        uv = np.unique(self.uv[wrong], axis=0)
-        return ", uv ({:g}, {:g})".format(*uv[0]) if len(uv) == 1 else ""
-
-    def fraction(self, wrong: Flags) -> str:
-        """Text on the percentage of pairs that are `wrong`, and where one is."""
-        where = f"{self.middle(wrong)}{self.place(wrong)}"
-        return f"{100 * wrong.mean():.3g} % of the directions, as at {where}"
-
-    def middle(self, wrong: Flags) -> Condition:
-        """Condition of the worst of those that are `wrong`, or of the first."""
-        size = 1.0 if self.size is None else self.size
-        worst = np.argmax(np.where(wrong, size, -np.inf))
-        return self.condition(np.unravel_index(worst, wrong.shape))
-
     def condition(self, at: Sequence[Any]) -> Condition:
         """Condition of one pair."""
         at = tuple(at)
@@ -228,74 +123,105 @@ class Matrices:
         theta, phi = (float(np.round(np.degrees(x), 1)) % 360 for x in angles(wi))
         side = "front" if wi[2] > 0 else "back"
         theta_i = theta if wi[2] > 0 else float(np.round(180 - theta, 1))
-        spot = int(at[-1]) % N_SPOTS if self.asked.fields else 0
         u, v = self.uv[at].tolist()
-        lit = replace(self.asked, theta_i=theta_i, phi_i=phi, side=side, turned=False)
-        return replace(lit, uv=(u, v), spot=spot)
-
-    def by(self, size: Floats) -> Matrices:
-        """The same, with how wrong each is."""
-        return replace(self, size=size)
+        return Condition(theta_i, phi, side, (u, v), self.asked.mode)
 
     def take(self, chosen: Any) -> Matrices:
         """Return the chosen pairs."""
         parts = (self.wi, self.wo, self.uv, self.raw)
         wi, wo, uv, raw = (x[chosen] for x in parts)
-        return replace(self, wi=wi, wo=wo, uv=uv, raw=raw, size=None)
+        return replace(self, wi=wi, wo=wo, uv=uv, raw=raw)
+
+    def reshaped(self, *shape: int) -> Matrices:
+        """The same pairs, in another shape."""
+        parts = (self.wi, self.wo, self.uv, self.raw)
+        ends = ((3,), (3,), (2,), self.raw.shape[-3:])
+        wi, wo, uv, raw = (x.reshape(*shape, *y) for x, y in zip(parts, ends))
+        return replace(self, wi=wi, wo=wo, uv=uv, raw=raw)
+
+    @classmethod
+    def of(cls, samples: Samples, function: Function, raw: Floats) -> Matrices:
+        """Answers about samples."""
+        asked = samples.condition
+        uv = np.broadcast_to(asked.uvs, (samples.n, 2))
+        return cls(function, asked, samples.wi, samples.wo, uv, raw)
+
+    def exchanged(self) -> Matrices:
+        """The same numbers, of incident and outgoing directions exchanged."""
+        return replace(self, wi=self.wo, wo=self.wi)
+
+    def in_radiance(self) -> Matrices:
+        """The same numbers, of radiance mode."""
+        return replace(self, asked=replace(self.asked, mode="radiance"))
 
 
-@dataclass(frozen=True)
-class Lobes:
-    """Answers of ``sample``.
+def eval_at(
+    bsdf: mi.BSDF, wi: Floats, wo: Floats, uv: Numbers = MIDDLE, **asked: Any
+) -> Matrices:
+    """Matrices of ``eval`` for directions of shape (..., 3) and places of (..., 2).
 
-    Attributes
-    ----------
-    weights : Matrices
-    pdf : ndarray, shape (...)
-    type : ndarray, shape (...)
+    What else is `asked` is of a condition.
     """
-
-    weights: Matrices
-    pdf: Floats
-    type: Integers
-
-    @property
-    def given(self) -> Flags:
-        """Mask of samples that did not fail."""
-        return self.weights.lit & (self.pdf > 0) & self.weights.finite
-
-    @property
-    def delta(self) -> Flags:
-        """Mask of those with a discrete direction."""
-        return self.given & ((self.type & int(mi.BSDFFlags.Delta)) != 0)
-
-    @property
-    def null(self) -> Flags:
-        """Mask of those that go straight on, by a lobe of the type Null."""
-        return self.given & ((self.type & int(mi.BSDFFlags.Null)) != 0)
-
-    @property
-    def smooth(self) -> Flags:
-        """Mask of those with a density."""
-        return self.given & ((self.type & int(mi.BSDFFlags.Delta)) == 0)
-
-    @property
-    def flux(self) -> Matrices:
-        """Weight times pdf: ``eval`` of a density, the share of a discrete lobe."""
-        raw = self.weights.raw * self.pdf[..., None, None, None]
-        return replace(self.weights, raw=raw)
+    condition = condition_of(wi, uv, **asked)
+    answer, n = Probe(bsdf, condition).eval(vectors(wo)), len(condition.wi)
+    raw = full(answer, n).reshape(*wi.shape[:-1], -1, 4, 4)
+    uv = np.broadcast_to(uv, (*wi.shape[:-1], 2))
+    return Matrices(EVAL, condition, wi, wo, uv, raw)
 
 
-def elements(value: mi.Spectrum, shape: tuple[int, ...]) -> Floats:
-    """Mueller-valued spectra for directions of a shape: (*shape, channels, 4, 4).
+def eval_with_slack(
+    bsdf: mi.BSDF, wi: Floats, wo: Floats, uv: Numbers
+) -> tuple[Matrices, Floats]:
+    """Matrices of ``eval``, and what rounding may leave in their elements, (...).
 
-    In unpolarised variants of their first element: (*shape, channels, 1, 1).
+    The slack is relative to the first element.
     """
-    array, size = np.array(value, dtype=float), 4 if mi.is_polarized else 1
-    array = array.reshape(size, size, array.shape[-2], -1)
-    array = np.moveaxis(array, (3, 2), (0, 1))
-    array = np.broadcast_to(array, (math.prod(shape), *array.shape[1:]))
-    return array.reshape(*shape, *array.shape[1:])
+    rng = np.random.default_rng(wi[..., 0].size)
+    steps = [ULPS * (2 * rng.random((2, *wi.shape)) - 1) for _ in range(2)]
+    moves = np.stack([np.zeros_like(steps[0]), *steps])
+    answers = eval_at(bsdf, wi + moves[:, 0], wo + moves[:, 1], uv)
+    return answers.take(0), slack_of(per_light(answers.raw))
+
+
+def samples_at(
+    bsdf: mi.BSDF, wi: Floats, random: Floats, uv: Numbers = MIDDLE, **asked: Any
+) -> Samples:
+    """Samples for incident directions and random numbers of (..., 3), in one row."""
+    return drawn_samples(
+        Probe(bsdf, condition_of(wi, uv, **asked)), *random_numbers(random)
+    )
+
+
+def lobe_slack(bsdf: mi.BSDF, samples: Samples) -> Floats:
+    """Slack of weights over their first elements, by displaced incident directions."""
+    n, wi = samples.n, samples.wi
+    steps = ULPS * (2 * np.random.default_rng(n).random((2, n, 3)) - 1)
+    moved = np.concatenate([wi[None], wi + steps])
+    u, uv = (
+        np.broadcast_to(x, (3, *x.shape)) for x in (samples.u, samples.condition.uvs)
+    )
+    found = samples_at(bsdf, moved, u, uv)
+    return slack_of(per_light(found.full("weight").reshape(3, n, -1, 4, 4)))
+
+
+def condition_of(wi: Floats, uv: Numbers, **asked: Any) -> Given:
+    """Condition of directions of (..., 3), and of places, in one row."""
+    at = np.broadcast_to(uv, (*wi.shape[:-1], 2)).reshape(-1, 2)
+    return Given(lit_by=wi.reshape(-1, 3), at=at, **asked)
+
+
+def flux_of(samples: Samples, *shape: int) -> Matrices:
+    """Weight times pdf of samples, of that shape if they are no row."""
+    pdf = samples.sampled_pdf[:, None, None, None]
+    flux = Matrices.of(samples, SAMPLE, samples.full("weight") * pdf)
+    return flux.reshaped(*shape) if shape else flux
+
+
+def in_mode(asked: Condition) -> str:
+    """Text that names the mode and fields in which alone something is wrong."""
+    if asked.fields:
+        return f", with other si.{', si.'.join(asked.fields)}"
+    return ", in radiance mode (ctx.mode)" if asked.mode == "radiance" else ""
 
 
 def per_light(matrices: Floats) -> Floats:
@@ -310,22 +236,16 @@ def slack_of(displaced: Floats) -> Floats:
     return 8 * BSDF_ROUNDING + SLACK * np.nan_to_num(change, nan=1.0)
 
 
+def relative_slack(*answers: Floats) -> Floats:
+    """The same from slacks of samples and the first elements that these are of."""
+    slacks = zip(answers[::2], answers[1::2])
+    parts = (np.max(x / np.maximum(light, 1e-30), axis=1) for x, light in slacks)
+    return sum(8 * BSDF_ROUNDING + SLACK * np.nan_to_num(x, nan=1.0) for x in parts)
+
+
 def off(a: Floats, b: Floats) -> Floats:
     """Largest difference of elements of two arrays (..., channels, 4, 4): (...)."""
     return np.abs(a - b).max(axis=(-1, -2, -3))
-
-
-def lit_directions(rng: np.random.Generator, n: int, sides: Sequence[int]) -> Floats:
-    """Directions to the source, half of them grazing, on the sides +1 and -1.
-
-    The sides alternate, so that each has grazing ones.
-    """
-    grazing = np.arange(n) // len(sides) % 2
-    theta = np.radians(np.where(grazing, 85, 50) * np.sqrt(rng.random(n)))
-    found = direction(np.maximum(theta, 0.05), 2 * np.pi * rng.random(n))
-    found[:, 2] *= np.resize(sides, n)
-    # as single precision has it
-    return found.astype(np.float32).astype(float)
 
 
 # ----------------------------------------------------------------------------- readings

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import drjit as dr
@@ -12,12 +11,11 @@ import numpy as np
 from ..array_types import Floats
 from ..specimen.media import N_RINGED, ask_phase_function
 from .arrays import Sides, drawn, lit_from, rows, smooth, value
-from .checks import sampling
 from .checks.energy import ENERGY, Energy
 from .checks.reciprocity import RECIPROCITY, ratio_text
 from .checks.sampling import SAMPLING
 from .checks.weights import WEIGHTS
-from .conditions import EFFORTS, Condition, Effort
+from .conditions import EFFORTS, Condition
 from .evidence import Evidence
 from .judgements import by_sample
 from .mistakes import EVAL, SAMPLE, Claim, Function, Mistake
@@ -156,20 +154,6 @@ def as_bsdf(phase: mi.PhaseFunction) -> mi.BSDF:
     return Scatterer(mi.Properties("scatterer"))
 
 
-def check_maps(evidence: Evidence, plan: Effort) -> None:
-    """Statistics of samples by patch, in both modes if they differ."""
-    conditions = MAPPED[plan]
-    if evidence.in_radiance_mode:
-        conditions += tuple(replace(one, mode="radiance") for one in conditions)
-    for i, condition in enumerate(conditions):
-        if maps := evidence.add_maps(plan, condition, 2, i):
-            evidence.ask("maps", maps)
-    sampling.check_pooled(evidence)
-    sampling.check_roulette(evidence)
-    if len(evidence.maps) < len(conditions):
-        _check_rings(evidence)
-
-
 class Densities:
     """A phase function whose values are its densities, and whose weights are 1."""
 
@@ -187,7 +171,7 @@ class Densities:
         return mi.Spectrum(pdf), pdf
 
 
-def _check_rings(evidence: Evidence) -> None:
+def check_rings(evidence: Evidence) -> None:
     """Check light and directions in rings about the incident direction.
 
     By the test of a measurement before it follows rays through a medium, which works

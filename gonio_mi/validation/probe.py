@@ -6,6 +6,7 @@ Whatever a plugin does wrong there is raised as a :class:`PluginFault`.
 from __future__ import annotations
 
 import contextlib
+import functools
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, TypeAlias
 
@@ -189,14 +190,14 @@ class Probe:
 
     def eval_pdf_sample(
         self, wo: mi.Vector3f, sample1: mi.Float, sample2: mi.Point2f, **at: Any
-    ) -> tuple[mi.Spectrum, mi.Float, Sample]:
-        """Value, density and sample that ``eval_pdf_sample`` returns."""
+    ) -> tuple[mi.Spectrum, mi.Float, mi.BSDFSample3f, mi.Spectrum]:
+        """Value, density, sample and weight that ``eval_pdf_sample`` returns."""
         name = "eval_pdf_sample"
         answer = self._call(name, wo, sample1, sample2, **at)
         value, pdf, *sample = checked_parts(name, answer, 4)
         n = dr.width(wo, sample1, sample2)
         sampled = checked_sample(name, tuple(sample), n)
-        return *self._pair((name, name), (value, pdf), n), sampled
+        return *self._pair((name, name), (value, pdf), n), *sampled
 
     def of_surface(self, function: str) -> Floats:
         """Answer of a function that takes no direction wo; shape ``(channels,)``."""
@@ -285,6 +286,11 @@ class Probe:
         return value, checked_answer(names[1], answers[1], n, mi.Float)
 
 
+# Functions that properties ask, and how many arguments they have between the
+# interaction and the mask.
+ASKED = {"sample": 2, "eval": 1, "pdf": 1, "eval_pdf": 1, "eval_pdf_sample": 3}
+
+
 class Shared:
     """A BSDF as properties ask it: each call is made once, and its answer is kept.
 
@@ -297,52 +303,23 @@ class Shared:
         self._kept: dict[Any, Any] = {}
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(self._probe.bsdf, name)
+        if name not in ASKED:
+            return getattr(self._probe.bsdf, name)
+        return functools.partial(self._once, name)
 
-    def forget(self) -> None:
-        """Forget all answers, which are memory."""
-        self._kept.clear()
-
-    def sample(
-        self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True
-    ) -> Sample:
-        """As of BSDFs."""
-        return self._once("sample", ctx, si, active, sample1, sample2)
-
-    def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> mi.Spectrum:
-        """As of BSDFs."""
-        return self._once("eval", ctx, si, active, wo)
-
-    def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> mi.Float:
-        """As of BSDFs."""
-        return self._once("pdf", ctx, si, active, wo)
-
-    def eval_pdf(
-        self, ctx: Any, si: Any, wo: Any, active: Any = True
-    ) -> tuple[mi.Spectrum, mi.Float]:
-        """As of BSDFs."""
-        return self._once("eval_pdf", ctx, si, active, wo)
-
-    def eval_pdf_sample(
-        self, ctx: Any, si: Any, wo: Any, sample1: Any, sample2: Any
-    ) -> tuple[mi.Spectrum, mi.Float, mi.BSDFSample3f, mi.Spectrum]:
-        """As of BSDFs."""
-        name = "eval_pdf_sample"
-        *both, sample = self._once(name, ctx, si, True, wo, sample1, sample2)
-        return *both, *sample
-
-    def _once(self, name: str, ctx: Any, si: Any, active: Any, *given: Any) -> Any:
+    def _once(self, name: str, ctx: Any, si: Any, *arguments: Any) -> Any:
         """Answer to a call, which is known by the variables of its arguments."""
+        given, mask = arguments[: ASKED[name]], arguments[ASKED[name] :]
+        active = mask[0] if mask else True
         dr.make_opaque(si.wi, given)
-        arguments = dr.detail.collect_indices((si, active, given))
-        key = name, ctx.mode, ctx.type_mask, ctx.component, *arguments
+        known = dr.detail.collect_indices((si, active, given))
+        key = name, ctx.mode, ctx.type_mask, ctx.component, *known
         if key not in self._kept:
             own = type(si)(si), *given  # nobody else gets these variables' numbers
-            how = {} if name == "eval_pdf_sample" else {"active": active}
-            ask = getattr(self._probe, name)
             # a plugin may change these, too
             context = mi.BSDFContext(ctx.mode, ctx.type_mask, ctx.component)
-            answer = ask(*own[1:], **how, si=type(si)(si), ctx=context)
+            how = {"si": type(si)(si), "ctx": context, "active": active}
+            answer = getattr(self._probe, name)(*given, **how)
             self._kept[key] = answer, own, active
         return self._kept[key][0]
 
@@ -448,12 +425,24 @@ def numbers(value: Any, n: int) -> Numbers:
 
 
 def spectral(value: Any, n: int) -> Floats:
-    """NumPy array of a vector or spectrum in float64, shape ``(n, channels)``."""
+    """NumPy array of a vector or spectrum in float64, shape ``(n, channels)``.
+
+    Of Mueller matrices it is the first element.
+    """
+    value = value[0, 0] if dr.is_matrix_v(value) else value
     found = np.empty((len(value), n))
     for row, channel in zip(found, value):
         # one by one: all together, they would be interleaved in a kernel
         row[:] = np.ravel(np.array(channel))
     return found.T
+
+
+def full(value: Any, n: int) -> Floats:
+    """The same, of Mueller matrices all elements, shape ``(n, channels, 4, 4)``."""
+    if not dr.is_matrix_v(value):
+        return spectral(value, n)
+    each = np.array([spectral(value[i, j], n) for i in range(4) for j in range(4)])
+    return np.moveaxis(each, 0, -1).reshape(n, -1, 4, 4)
 
 
 def vectors(rows: Numbers) -> mi.Vector3f:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -13,11 +13,12 @@ import numpy as np
 from ..array_types import Flags, Floats, Integers, Numbers
 from ..mitsuba_compat import floats
 from ..single_precision import BSDF_ROUNDING
-from .arrays import Sides, drawn, lit_from, opposite
+from .arrays import Sides, drawn, full as all_elements, lit_from, opposite
 from .conditions import Condition
 from .probe import (
     Probe,
     Shared,
+    full,
     is_delta,
     numbers,
     random_numbers,
@@ -49,6 +50,9 @@ MAX_SCORE = 5
 # Values in single precision that are as good as 0: powers of small cosines underflow.
 UNDERFLOW = 1e-30
 
+# Relative difference of elements of matrices, over the first one, that is no rounding.
+ELEMENT_ROUNDING = 2e-3
+
 # Samples that tell how well integrals can be known.
 N_ROUNDED = 2**12
 
@@ -57,13 +61,20 @@ COSINE_ROUNDING = 2.0**-22
 
 
 def unequal(a: Numbers, b: Numbers, slack: Numbers | float) -> Flags:
-    """Mask of samples whose values differ by more than rounding, shape ``(n,)``."""
+    """Mask of samples whose values differ by more than rounding, shape ``(n,)``.
+
+    The slack is that of each channel; elements of matrices round with the first one.
+    """
     if np.array_equal(a, b):  # as most are, which costs a tenth of all below
         return np.zeros(len(a), dtype=bool)
-    tolerance = BSDF_ROUNDING * np.maximum(np.abs(a), np.abs(b)) + SLACK * slack
+    rounding, size = BSDF_ROUNDING, np.maximum(np.abs(a), np.abs(b))
+    if a.ndim == 4:
+        rounding, size = ELEMENT_ROUNDING, size[..., :1, :1]
+        slack = slack if isinstance(slack, float) else slack[..., None, None]
+    tolerance = rounding * size + SLACK * slack
     with np.errstate(invalid="ignore"):  # infinities are equal; `answers` names them
         differs = np.abs(a - b) > np.maximum(tolerance, UNDERFLOW)
-    return differs if differs.ndim == 1 else differs.any(axis=1)
+    return differs.any(axis=tuple(range(1, differs.ndim)))
 
 
 def ratio_of(above: Floats, below: Floats) -> Floats:
@@ -106,7 +117,8 @@ def beyond_rounding(mask: Flags) -> bool:
 class Samples:
     """Samples one by one, with the answers of all functions at their directions.
 
-    Arrays of ``(n,)``, or ``(n, channels)`` for weights and values; a slack is the
+    Arrays of ``(n,)``, or ``(n, channels)`` for weights and values, of Mueller matrices
+    their first elements: :meth:`full` has all of them. A slack is the
     largest change of a value when both directions are displaced by rounding errors, and
     relative to its value no less than that of half of the samples. What was not asked
     is None.
@@ -126,6 +138,8 @@ class Samples:
         ``eval`` in the other transport mode.
     reverse, reverse_other_mode : ndarray
         ``eval`` with incident and outgoing directions exchanged.
+    matrices : dict of ndarray, shape (n, channels, 4, 4)
+        Of Mueller matrices all elements, by the names of weights and values.
     """
 
     condition: Condition
@@ -136,8 +150,8 @@ class Samples:
     component: Integers
     eta: Floats
     u: Floats
-    eval: Floats
-    pdf: Floats
+    eval: Any = None
+    pdf: Any = None
     joint: dict[str, Any] = field(default_factory=dict)
     eval_slack: Any = None
     pdf_slack: Any = None
@@ -145,23 +159,29 @@ class Samples:
     reverse: Any = None
     reverse_slack: Any = None
     reverse_other_mode: Any = None
+    matrices: dict[str, Floats] = field(default_factory=dict)
     asked: tuple[Any, ...] = ()
+
+    def full(self, name: str) -> Floats:
+        """Weights or values of that name with all elements of Mueller matrices."""
+        return self.matrices[name] if self.matrices else getattr(self, name)
 
     def hold(
         self, stated: Callable[..., Sides], *given: Any
     ) -> tuple[Floats, Floats, Flags]:
         """What should be equal by a property, and which samples count.
 
-        Numbers have the shape ``(n, channels)``.
+        Numbers have the shape ``(n, channels)``, or that of matrices.
         """
         a, b, counts = stated(*self.asked, *given)
         a, b = np.broadcast_arrays(a, b, np.empty((1, self.n)))[:2]
-        return a.T, b.T, np.broadcast_to(counts, self.n)
+        a, b = (x.T if x.ndim == 2 else x.transpose(3, 2, 0, 1) for x in (a, b))
+        return a, b, np.broadcast_to(counts, self.n)
 
     @property
     def n(self) -> int:
         """Number of samples."""
-        return len(self.pdf)
+        return len(self.sampled_pdf)
 
     @property
     def delta(self) -> Flags:
@@ -172,6 +192,16 @@ class Samples:
     def given(self) -> Flags:
         """Mask of samples that did not fail."""
         return (self.weight != 0).any(axis=1)
+
+    @property
+    def discrete(self) -> Flags:
+        """Mask of samples that did not fail, of a lobe of one direction."""
+        return self.given & self.delta & np.isfinite(self.wo).all(axis=1)
+
+    @property
+    def null(self) -> Flags:
+        """Mask of samples that go straight on, by a lobe of the type Null."""
+        return self.given & ((self.type & int(mi.BSDFFlags.Null)) != 0)
 
     @property
     def smooth(self) -> Flags:
@@ -204,14 +234,21 @@ class Samples:
         """Mask of directions on the lit side."""
         return self.wo[:, 2] * self.wi[:, 2] > 0
 
-    def select(self, mask: Flags) -> Samples:
-        """Samples of the mask, without answers of the joint functions."""
-        kept = {
+    def select(self, mask: Any) -> Samples:
+        """Samples of a mask, or a slice, without answers of the joint functions."""
+        kept: dict[str, Any] = {
             name: value[mask]
             for name, value in vars(self).items()
-            if name not in ("condition", "joint", "asked") and value is not None
+            if isinstance(value, np.ndarray)
         }
-        return replace(self, joint={}, asked=(), **kept)
+        own = {name: value[mask] for name, value in self.matrices.items()}
+        return replace(self, joint={}, asked=(), matrices=own, **kept)
+
+    def with_answers(self, answers: Mapping[str, Any], **others: Any) -> Samples:
+        """The same samples with further answers by name."""
+        own = _arrays(answers, self.n)
+        own["matrices"] = self.matrices | own["matrices"]
+        return replace(self, **own, **others)
 
     @property
     def random(self) -> tuple[mi.Float, mi.Point2f]:
@@ -228,6 +265,18 @@ class Samples:
         return self.condition.middle(mask)
 
 
+def drawn_samples(probe: Probe, sample1: mi.Float, sample2: mi.Point2f) -> Samples:
+    """Answers of ``sample`` alone about random numbers."""
+    u = mi.Point3f(sample1, sample2.x, sample2.y)
+    asked = Shared(probe), probe.condition.context, probe.interactions(dr.width(u)), u
+    bs, weight = drawn(*asked)
+    given = {"u": u, "wo": bs.wo, "weight": weight, "sampled_pdf": bs.pdf}
+    given |= {"type": bs.sampled_type, "component": bs.sampled_component, "eta": bs.eta}
+    return Samples(
+        condition=probe.condition, asked=asked, **_arrays(given, dr.width(u))
+    )
+
+
 def samples_of(
     bsdf: mi.BSDF,
     condition: Condition,
@@ -242,78 +291,88 @@ def samples_of(
     take most of the time, are not asked.
     """
     probe = Probe(bsdf, condition)
-    sample1, sample2 = uniform(n, key)
-    u, si = mi.Point3f(sample1, sample2.x, sample2.y), probe.interactions(n)
-    asked = plugin, ctx, _, _ = Shared(probe), condition.context, si, u
-    bs, weight = drawn(*asked)
-    wo = bs.wo
-    value, pdf = plugin.eval(ctx, si, wo), plugin.pdf(ctx, si, wo)
-    alone = Samples(
-        condition=condition,
-        wo=spectral(wo, n),
-        weight=spectral(weight, n),
-        sampled_pdf=numbers(bs.pdf, n).astype(float),
-        type=numbers(bs.sampled_type, n),
-        component=numbers(bs.sampled_component, n),
-        eta=numbers(bs.eta, n).astype(float),
-        u=np.column_stack([numbers(sample1, n), spectral(sample2, n)]),
-        eval=spectral(value, n),
-        pdf=numbers(pdf, n).astype(float),
-        asked=asked,
-    )
+    samples = drawn_samples(probe, *uniform(n, key))
+    plugin, ctx, si, u = samples.asked
+    wo, wi = drawn(*samples.asked)[0].wo, si.wi
+    answers: dict[str, Any] = {"eval": plugin.eval(ctx, si, wo)}
+    answers["pdf"] = plugin.pdf(ctx, si, wo)
     if not compared:
-        return alone
+        return samples.with_answers(answers)
     joint = _joint(plugin, ctx, si, wo, u)
-    other, back, wi = opposite(ctx), lit_from(si, wo), si.wi
-    other_mode = plugin.eval(other, si, wo)
-    reverse, reverse_other_mode = (plugin.eval(x, back, wi) for x in (ctx, other))
-    eval_slack, pdf_slack, reverse_slack = _changes(
-        (*_displaced(wi, wo, key), *_tilted(wi, wo)),
-        (lambda wi, wo: probe.eval(wo, wi=wi), value),
-        (lambda wi, wo: probe.pdf(wo, wi=wi), pdf),
-        (lambda wi, wo: probe.eval(wi, wi=wo), reverse),
-    )
-    return replace(
-        alone,
-        eval_slack=_no_less(spectral(eval_slack, n), spectral(value, n)),
-        pdf_slack=_no_less(numbers(pdf_slack, n), numbers(pdf, n)),
-        joint=joint,
-        other_mode=spectral(other_mode, n),
-        reverse=spectral(reverse, n),
-        reverse_slack=_no_less(spectral(reverse_slack, n), spectral(reverse, n)),
-        reverse_other_mode=spectral(reverse_other_mode, n),
-    )
+    functions: dict[str, Any] = {
+        "eval": lambda wi, wo: probe.eval(wo, wi=wi),
+        "pdf": lambda wi, wo: probe.pdf(wo, wi=wi),
+    }
+    if not mi.is_polarized or _goes_both_ways(condition):
+        other, back = opposite(ctx), lit_from(si, wo)
+        answers["other_mode"] = plugin.eval(other, si, wo)
+        answers["reverse"] = plugin.eval(ctx, back, wi)
+        answers["reverse_other_mode"] = plugin.eval(other, back, wi)
+        functions["reverse"] = lambda wi, wo: probe.eval(wi, wi=wo)
+    displaced = [*_displaced(wi, wo, key), *_tilted(wi, wo)]
+    # elements of matrices are not known so well that more would tell
+    displaced = displaced[:2] if mi.is_polarized else displaced
+    changes = _changes(displaced, *((f, answers[k]) for k, f in functions.items()))
+    samples = samples.with_answers(answers, joint=joint)
+    slacks: dict[str, Any] = {
+        f"{name}_slack": _no_less(change, getattr(samples, name))
+        for name, change in zip(functions, changes)
+    }
+    return replace(samples, **slacks)
 
 
-def _no_less(slack: Numbers, value: Numbers) -> Floats:
+def _goes_both_ways(condition: Condition) -> bool:
+    """Whether matrices are compared with those of the other mode and way."""
+    return condition.mode == "importance" and not condition.fields
+
+
+def _arrays(answers: Mapping[str, Any], n: int) -> dict[str, Any]:
+    """Answers by name as arrays of samples, and all elements of those with matrices."""
+    found: dict[str, Any] = {"matrices": {}}
+    for name, answer in answers.items():
+        if dr.is_matrix_v(answer):
+            found["matrices"][name] = full(answer, n)
+        if dr.depth_v(answer) > 1:
+            found[name] = spectral(answer, n)
+        else:
+            kind = float if dr.is_float_v(answer) else int
+            found[name] = numbers(answer, n).astype(kind)
+    return found
+
+
+def _no_less(change: Numbers, value: Floats) -> Floats:
     """Slack that is, relative to the value, at least the median of all samples.
 
     Where a difference of nearly equal numbers has few steps left, displacements may
-    change nothing by chance.
+    change nothing by chance. Of matrices it is the largest `change` of all elements.
     """
-    size = np.abs(value).astype(float)
+    change = change.max(axis=(0, 1)) if change.ndim == 4 else change
+    slack = np.broadcast_to(change.T, value.shape).astype(float)
+    size = np.abs(value)
     usable = (size > 0) & np.isfinite(size) & np.isfinite(slack)
     if not usable.any():
-        return slack.astype(float)
+        return slack
     half = np.median(slack[usable] / size[usable])
     return np.maximum(slack, half * np.where(np.isfinite(size), size, 0.0))
 
 
 def _joint(plugin: Shared, ctx: Any, si: Any, wo: Any, u: Any) -> dict[str, Any]:
-    """Answers of ``eval_pdf`` and ``eval_pdf_sample``, and the latter's samples."""
+    """Answers of ``eval_pdf`` and ``eval_pdf_sample``, and the latter's samples.
+
+    Of Mueller matrices the former alone.
+    """
     n = dr.width(wo)
-    answers: dict[str, Any] = {"eval_pdf": plugin.eval_pdf(ctx, si, wo)}
+
+    def pair(value: mi.Spectrum, pdf: mi.Float) -> tuple[Floats, Floats]:
+        return full(value, n), numbers(pdf, n).astype(float)
+
+    answers: dict[str, Any] = {"eval_pdf": pair(*plugin.eval_pdf(ctx, si, wo))}
+    if mi.is_polarized:
+        return answers
     random = u.x, mi.Point2f(u.y, u.z)
     *both, bs, weight = plugin.eval_pdf_sample(ctx, si, wo, *random)
-    answers["eval_pdf_sample"] = both
-    return {
-        name: (spectral(value, n), numbers(pdf, n).astype(float))
-        for name, (value, pdf) in answers.items()
-    } | {
-        "wo": spectral(bs.wo, n),
-        "weight": spectral(weight, n),
-        "pdf": numbers(bs.pdf, n).astype(float),
-    }
+    sampled = _arrays({"wo": bs.wo, "weight": weight, "pdf": bs.pdf}, n)
+    return answers | {"eval_pdf_sample": pair(*both)} | sampled
 
 
 def rounding(probe: Probe, key: tuple[int, ...]) -> list[float]:
@@ -389,13 +448,18 @@ def _changes(
     of_each = np.array(weights, np.float32)[:, None]
     largest = []
     for function, value in functions:
-        here, there = np.array(value), np.array(function(wi, wo))
+        here, there = map(_array, (value, function(wi, wo)))
         shape = *there.shape[:-1], dr.width(wo)
         there = np.broadcast_to(there, shape).reshape(*shape[:-1], len(weights), -1)
         with np.errstate(invalid="ignore", over="ignore"):
             change = of_each * np.abs(there - here[..., None, :])
             largest.append(np.maximum(0 * here, change.max(axis=-2)))
     return largest
+
+
+def _array(value: Any) -> Numbers:
+    """Array of a value, of matrices one element after the other."""
+    return all_elements(value) if dr.is_matrix_v(value) else np.array(value)
 
 
 def _displaced(

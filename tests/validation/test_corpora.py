@@ -28,6 +28,10 @@ SAID = {
     "eval_moves_wo": "`eval` changes its arguments in place, which joint",
     "after_many_calls": "`eval` returns different values when called again",
     "after_many_samples": "`sample` returns different values when called again",
+    "mueller_fades_with_distance": "`eval` or `sample`: `eval` depends, and `sample` "
+    "does not, on si.t",
+    "mueller_density_by_tangents": "`sample` or `pdf`: `pdf` depends, and `sample` "
+    "does not, on si.dp_du",
 }
 
 

@@ -22,7 +22,10 @@ from gonio_mi.collector.stokes import (
     turn,
 )
 from gonio_mi.validation import POLARISED, validate
-from gonio_mi.validation.mueller import MuellerProbe
+from gonio_mi.validation.checks import answers
+from gonio_mi.validation.conditions import Condition
+from gonio_mi.validation.mueller import flux_of, samples_at
+from gonio_mi.validation.samples import ELEMENT_ROUNDING, samples_of, unequal
 
 SEEDS = max(12, int(os.environ.get("GONIO_SEEDS", "1")))
 VARIANT = "llvm_ad_mono_polarized"
@@ -71,9 +74,9 @@ def test_frames_are_those_of_mitsuba():
 def test_conductor_is_fresnel_in_all_elements(index):
     plate = {"type": "conductor", "eta": index.real, "k": index.imag}
     wi = _directions(100)
-    lobes = MuellerProbe(mi.load_dict(plate)).sample(wi, np.full((100, 3), 0.5))
+    lobes = samples_at(mi.load_dict(plate), wi, np.full((100, 3), 0.5))
     due = mueller.reflection(wi[:, 2], index)[:, None]
-    assert np.allclose(lobes.flux.in_plane(), due, rtol=0, atol=ROUNDING)
+    assert np.allclose(flux_of(lobes).in_plane(), due, rtol=0, atol=ROUNDING)
 
 
 @pytest.mark.usefixtures("polarised")
@@ -86,8 +89,8 @@ def test_dielectric_is_fresnel_in_all_elements(mode):
         (0.0, mueller.reflection(wi[:, 2], index)),
         (0.9999, mueller.transmission(wi[:, 2], index)),
     ):
-        lobes = MuellerProbe(plate, mode).sample(wi, np.full((100, 3), choice))
-        found = lobes.flux.in_plane()[:, 0]
+        lobes = samples_at(plate, wi, np.full((100, 3), choice), mode=mode)
+        found = flux_of(lobes).in_plane()[:, 0]
         if mode == "radiance" and choice:
             # light goes the other way, and its radiance is that of another medium
             found = np.swapaxes(found, -1, -2) * index**2
@@ -100,10 +103,10 @@ def test_total_reflection_has_its_phase():
     plate = mi.load_dict({"type": "dielectric", "int_ior": index, "ext_ior": 1.0})
     wi = -direction(np.radians(np.linspace(43, 88, 20)), np.linspace(0, 6, 20))
     wi = wi.astype(np.float32).astype(float)
-    lobes = MuellerProbe(plate).sample(wi, np.full((20, 3), 0.5))
+    lobes = samples_at(plate, wi, np.full((20, 3), 0.5))
     due = mueller.reflection(-wi[:, 2], 1 / index)
     # near the critical angle the phase is the square root of a difference
-    assert np.allclose(lobes.flux.in_plane()[:, 0], due, rtol=0, atol=1e-3)
+    assert np.allclose(flux_of(lobes).in_plane()[:, 0], due, rtol=0, atol=1e-3)
 
 
 def test_eigenvalues_tell_real_surfaces():
@@ -112,6 +115,32 @@ def test_eigenvalues_tell_real_surfaces():
     assert np.allclose(least, [0, 0, 0, 1], atol=1e-12)
     assert coherency_eigenvalues(np.diag([1, 1, 1, -1]) @ surface)[0] < -0.1
     assert np.allclose(coherency_eigenvalues(np.diag([1.0, 0, 0, 0])), 0.25)
+
+
+@pytest.mark.parametrize("fixture", ["mono", "polarised"])
+def test_samples_have_all_elements(request, fixture):
+    """Matrices beside their first elements; numbers are all there is without."""
+    request.getfixturevalue(fixture)
+    bsdf = mi.load_dict({"type": "conductor", "eta": 0.2, "k": 3.0})
+    samples = samples_of(bsdf, Condition(40.0, 25.0), 8, (0, 1))
+    weight = samples.full("weight")
+    assert weight.shape == ((8, 1, 4, 4) if samples.matrices else (8, 1))
+    assert np.array_equal(weight.reshape(8, 1, -1)[..., 0], samples.weight)
+    assert bool(samples.matrices) == (fixture == "polarised")
+
+
+def test_elements_are_judged_by_the_first_one():
+    """Alike within a part of it, of either sign; the twins are one too far off."""
+    due = np.tile(np.diag([0.5, -0.4, 0.0, 0.0]), (100, 1, 1, 1))
+    for off, differs in ((0.4 * ELEMENT_ROUNDING, False), (ELEMENT_ROUNDING, True)):
+        other = due.copy()
+        other[..., 2, 1] += off
+        assert unequal(due, other, 0.0).all() == differs
+    assert not answers.improper(due).any()
+    for element, value in (((0, 0), -0.1), ((1, 2), np.nan)):
+        other = due.copy()
+        other[(7, 0, *element)] = value
+        assert np.flatnonzero(answers.improper(other)).tolist() == [7]
 
 
 # Stock plugins: whether the property frames holds, and a word of the mistake.
@@ -225,22 +254,34 @@ def test_mistake_is_seen_and_its_function_named(name):
     assert words in verdict.mistake, str(verdict)
 
 
+def test_a_metal_of_many_wavelengths_is_right():
+    """Gold, whose matrices depend on the wavelength; all pairs have the same ones."""
+    before, variant = mi.variant(), "llvm_ad_spectral_polarized"
+    if variant not in mi.variants():
+        pytest.skip(f"this Mitsuba has no {variant}")
+    mi.set_variant(variant)
+    try:
+        gold = {"type": "conductor", "material": "Au"}
+        verdict = validate(gold, effort="quick", strict=True)
+    finally:
+        mi.set_variant(before)
+    assert verdict.passed, str(verdict)
+
+
 @pytest.mark.usefixtures("polarised")
 def test_retarder_turns_its_axis_from_one_side_only():
     """Near the normal the axis is where it says in radiance mode, else mirrored."""
     plate = mi.load_dict({"type": "retarder", "delta": 90.0, "theta": 20.0})
     wi = direction(np.radians([0.01]), 0.3)
-    modes = ("importance", "radiance")
-    probes = [MuellerProbe(plate, mode) for mode in modes]
     random = np.full((1, 3), 0.5)
-    there, back = probes[0].sample(wi, random), probes[0].sample(-wi, random)
-    radiance = probes[1].sample(wi, random)
-    off = np.abs(radiance.flux.in_plane() - back.flux.in_plane()).max()
+    there, back = (samples_at(plate, x, random) for x in (wi, -wi))
+    radiance = samples_at(plate, wi, random, mode="radiance")
+    off = np.abs(flux_of(radiance).in_plane() - flux_of(back).in_plane()).max()
     assert off > 0.5
     specimen = {"type": "retarder", "delta": 90.0, "theta": 20.0}
     verdict = validate(specimen, effort="quick")
     assert verdict["adjoint"].status == "fails"
-    assert np.allclose(there.flux.light, 1)
+    assert np.allclose(there.flux, 1)
 
 
 @pytest.mark.usefixtures("polarised")

@@ -17,6 +17,7 @@ from ..arrays import (
     Sides,
     answer_of,
     drawn,
+    full,
     lit_from,
     of_direction,
     of_eval,
@@ -25,6 +26,7 @@ from ..arrays import (
     rows,
     smooth,
     sphere,
+    unsigned,
     value,
 )
 from ..conditions import POSITION, TURN
@@ -38,8 +40,8 @@ from ..samples import Samples, beyond_rounding, means_differ, unequal
 def proper(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> tuple[Any]:
     """Answers are finite and not negative, of samples and in all directions."""
     bs, _ = drawn(bsdf, ctx, si, u)
-    both = [rows(what(bsdf, ctx, si, wo, u)) for wo in (bs.wo, sphere(u.y, u.z))]
-    found = np.hstack(both)
+    both = (what(bsdf, ctx, si, wo, u) for wo in (bs.wo, sphere(u.y, u.z)))
+    found = np.hstack([unsigned(full(answer)) for answer in both])
     return (found,)
 
 
@@ -172,16 +174,17 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
     smooth = given & ~samples.delta
     everywhere = np.ones_like(given)
     cases: list[tuple[Function, str, Floats, Flags]] = [
-        (SAMPLE, "weight", samples.weight, everywhere),
+        (SAMPLE, "weight", samples.full("weight"), everywhere),
         (SAMPLE, "pdf", samples.sampled_pdf, given),
         # components of a vector may be negative
         (SAMPLE, "direction", np.abs(samples.wo), given),
-        (EVAL, "value", samples.eval, smooth),
-        (EVAL, "value", samples.reverse, smooth),
+        (EVAL, "value", samples.full("eval"), smooth),
         (PDF, "value", samples.pdf, smooth),
     ]
+    if samples.reverse is not None:
+        cases.insert(4, (EVAL, "value", samples.full("reverse"), smooth))
     for name in ("eval_pdf", "eval_pdf_sample"):
-        joint = samples.joint[name]
+        joint = samples.joint.get(name, ())
         cases += [(Function.named(name), "value", x, smooth) for x in joint]
     for function, what, answer, where in cases:
         wrong = improper(answer) & where
@@ -455,11 +458,11 @@ def check_albedo(evidence: Evidence) -> None:
 
 def improper(value: Numbers) -> Flags:
     """Mask of rows that are negative or not finite, shape ``(n,)``."""
-    wrong: Any = ~np.isfinite(value) | (value < 0)
-    return wrong if wrong.ndim == 1 else wrong.any(axis=1)
+    wrong: Any = ~(unsigned(value.T).T >= 0) | ~np.isfinite(value)
+    return wrong.any(axis=tuple(range(1, wrong.ndim)))
 
 
 def example(improper_rows: Numbers) -> str:
     """The first number of the first row that is negative or not finite."""
-    row = np.ravel(improper_rows[0])
+    row = np.ravel(unsigned(improper_rows.T).T[0])
     return f"{row[improper(row)][0]:g}"

@@ -16,7 +16,7 @@ from ..judgements import by_sample
 from ..mistakes import Claim
 from ..probe import Probe, numbers, spectral
 from ..samples import Samples, beyond_rounding, samples_of, unequal
-from . import answers, cost, sampling
+from . import answers, cost
 
 # What a sweep tells of properties that hold.
 TOLD = ("undecided", "downgraded", "remarks")
@@ -33,6 +33,7 @@ def check_identities(evidence: Evidence, samples: Samples) -> None:
     evidence.ask("samples", samples)
     condition = samples.condition
     whole = condition.mode == "importance" and condition.component is None
+    whole = whole and not samples.matrices  # which are asked in both modes
     if whole and _modes_disagree(evidence.bsdf, samples):
         radiance, key = replace(condition, mode="radiance"), (evidence.seed, 8)
         other = samples_of(evidence.bsdf, radiance, samples.n, key)
@@ -63,7 +64,7 @@ def check_sweep(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> None:
     Each sample has its own surroundings, too. What fails is asked again without these,
     and where that tells another, with each of their fields alone.
     """
-    sweep = Sweep(side=sides[0], both=len(sides) > 1, n=plan.checked, fields=FIELDS)
+    sweep = Sweep(side=sides[0], both=len(sides) > 1, n=plan.lanes, fields=FIELDS)
     found = _swept(evidence, sweep, plan)
     if evidence.samples and _failing(found):
         usual = _swept(evidence, replace(sweep, fields=()), plan)
@@ -94,7 +95,7 @@ def _swept(evidence: Evidence, sweep: Sweep, plan: Effort) -> Evidence:
     samples = samples_of(evidence.bsdf, sweep, sweep.n, key)
     found.sweeps.append(samples)
     check_identities(found, samples)
-    sampling.check_sweep(found, replace(sweep, n=plan.swept), key)
+    found.ask("sweep", replace(sweep, n=plan.swept), key)
     return found
 
 

@@ -21,13 +21,14 @@ from ..arrays import (
     rows,
     sphere,
 )
-from ..conditions import Condition
+from ..conditions import Condition, Given
 from ..evidence import BIAS, INTERFACE, SAME, Evidence, Question, answered
 from ..judgements import improper as any_improper, same
 from ..mistakes import EVAL, PDF, SAMPLE, Claim, Function, Mistake
 from ..probe import (
     Probe,
     changed,
+    full,
     number_parameters,
     numbers,
     random_numbers,
@@ -170,30 +171,32 @@ def _answers(probe: Probe, wo: Floats) -> tuple[Numbers, ...]:
 
 
 @ENDS.asks("parameters")
-def check_straight(evidence: Evidence) -> None:
+def check_straight(evidence: Evidence, question: Question = ENDS) -> None:
     """Check directions wo that are wi, straight on, or the mirror's, of many wi.
 
-    By rounding, a product of unit vectors may be more than 1.
+    By rounding, a product of unit vectors may be more than 1; and there the three
+    directions of a plane of incidence are one line.
     """
     wi = np.random.default_rng(0).normal(size=(N_STRAIGHT, 3))
     wi /= np.linalg.norm(wi, axis=1)[:, None]
-    condition = Condition(0.0, lit=tuple(wi[0]))
-    probe = Probe(evidence.bsdf, condition)
+    middle = np.full((N_STRAIGHT, 2), 0.5)
+    probe = Probe(evidence.bsdf, Given(lit_by=wi, at=middle))
     for words, wo in (
         ("wo = wi", wi),
         ("wo = -wi", -wi),
         ("wo in the mirror direction", wi * [-1, -1, 1]),
     ):
-        answers = probe.values(wo, wi), probe.densities(wo, wi)
+        values = full(probe.eval(vectors(wo)), N_STRAIGHT)
+        answers = values, probe.densities(wo)
         for function, answer in zip((EVAL, PDF), answers):
-            wrong = ~np.isfinite(answer if answer.ndim == 1 else answer.sum(axis=1))
+            wrong = ~np.isfinite(answer).reshape(N_STRAIGHT, -1).all(axis=1)
             if wrong.any():
                 guess = Ends.IMPROPER(function, value=example(answer[wrong]))
                 text = f"value {example(answer[wrong])} where {words}, for "
                 text += f"{100 * wrong.mean():.3g} % of all incident directions"
                 shown = Claim(straight, any_improper, (answer_of(function),))
                 how = {"found": text, "off": PIXELS, "size": 2.0, "shown": shown}
-                evidence.breach(ENDS, guess, **how)
+                evidence.breach(question, guess, **how)
 
 
 @ENDS.asks("parameters")

@@ -15,7 +15,8 @@ from ..integrals import SUM_ERROR
 from ..judgements import apart
 from ..maps import FourMaps
 from ..mistakes import EVAL, SAMPLE, Claim, Guess, Mistake
-from ..mueller import Lobes
+from ..mueller import Matrices
+from ..samples import Samples
 
 
 def best_polarisation(
@@ -116,33 +117,30 @@ ROUNDING = 1e-4
 SAME_LOBE = 1e-3
 
 
-def check_gain(evidence: Evidence, lobes: Lobes) -> None:
+def check_gain(evidence: Evidence, samples: Samples) -> None:
     """Test the mean flux of the incident polarisation that is scattered best.
 
-    `lobes` has the shape (directions, samples). Half of the smooth samples tell which
-    polarisation that is, the other half how much of it leaves. One sample is enough to
-    know the share of a discrete lobe.
+    Half of the smooth samples tell which polarisation that is, the other half how much
+    of it leaves. One sample is enough to know the share of a discrete lobe.
     """
-    weights = lobes.weights
     smooth_too = int(evidence.bsdf.flags()) & int(mi.BSDFFlags.Smooth)
     function = EVAL if smooth_too else SAMPLE
-    rows = weights.in_plane()[..., 0, :]
-    smooth = np.where(lobes.smooth[..., None, None], rows, 0.0)
-    half = rows.shape[1] // 2
-    for i in range(len(rows)):
-        discrete = _discrete(rows[i], lobes.pdf[i], lobes.delta[i])
-        gains = [
-            _gain(discrete[c], smooth[i, :half, c], smooth[i, half:, c])
-            for c in range(rows.shape[2])
-        ]
-        mean, std_err, state = max(gains, key=lambda one: one[0])
-        condition = weights.condition((i, 0))
-        z = (mean - 1 - ROUNDING) / max(std_err, ROUNDING / 4)
-        text = f"{mean:.4g} of the flux of {_named(state)} leaves"
-        p_value = float(special.stdtr(half - 1, -z))
-        guess, off = Energy.NOT_CONSERVED(function, found=text), max(0.0, mean - 1)
-        how = {"off": off, "guess": guess, "shown": Claim(best_polarisation, apart)}
-        evidence.test(ENERGY, p_value, text, condition, **how)
+    weights = Matrices.of(samples, SAMPLE, samples.full("weight"))
+    rows = weights.in_plane()[:, :, 0]
+    smooth = np.where(samples.smooth[:, None, None], rows, 0.0)
+    half = len(rows) // 2
+    discrete = _discrete(rows, samples.sampled_pdf, samples.discrete)
+    gains = [
+        _gain(discrete[c], smooth[:half, c], smooth[half:, c])
+        for c in range(rows.shape[1])
+    ]
+    mean, std_err, state = max(gains, key=lambda one: one[0])
+    z = (mean - 1 - ROUNDING) / max(std_err, ROUNDING / 4)
+    text = f"{mean:.4g} of the flux of {_named(state)} leaves"
+    p_value = float(special.stdtr(half - 1, -z))
+    guess, off = Energy.NOT_CONSERVED(function, found=text), max(0.0, mean - 1)
+    how = {"off": off, "guess": guess, "shown": Claim(best_polarisation, apart)}
+    evidence.test(ENERGY, p_value, text, samples.condition, **how)
 
 
 def _discrete(rows: Floats, pdf: Floats, delta: Flags) -> Floats:

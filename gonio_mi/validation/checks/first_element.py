@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
-from ...array_types import Flags, Floats, Integers
+from ...array_types import Flags, Floats
 from ...errors import SettingError
 from ...specimen.bsdf_trial import PluginFault
 from ...variants import unpolarised
 from ..arrays import answer_of, drawn, of_flux, rows
 from ..evidence import BIAS, POLARISING, SAME, Evidence, Question
 from ..judgements import by_sample
-from ..mistakes import SAMPLE, Claim, Mistake
-from ..mueller import Lobes, Matrices, MuellerProbe
-from ..samples import beyond_rounding
+from ..mistakes import EVAL, SAMPLE, Claim, Function, Mistake
+from ..mueller import in_mode
+from ..probe import Probe
+from ..samples import ELEMENT_ROUNDING, Samples, beyond_rounding, drawn_samples
 
 
 def first_element(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> Any:
@@ -38,49 +38,50 @@ class FirstElement(Mistake):
         polarisation{mode}: a factor of one of its two branches is missing"""
 
 
-# Relative difference of two ways to compute one value, in single precision.
-ROUNDING = 2e-3
-
-
-def check_first_element(
-    evidence: Evidence,
-    load: Callable[[], mi.BSDF] | None,
-    answers: Sequence[tuple[Matrices, Lobes]],
-    random: Floats,
-) -> None:
+@FIRST_ELEMENT.asks("bsdf")
+def check_bsdf(evidence: Evidence) -> None:
     """Compare ``eval``, and shares of discrete lobes, with the other variant's.
 
-    For directions and random numbers of shape (n, 3), in each transport mode. `load`
-    loads the plugin there; None if nobody knows how.
+    Of samples of either mode at once, for to change the variant takes long.
     """
-    variant = unpolarised(mi.variant())
+    variant, name = unpolarised(mi.variant()), FIRST_ELEMENT.name
+    load = evidence.load
     if load is None:
         text = "an object belongs to one variant: pass a dictionary or a file, which "
-        evidence.undecided["first_element"] = f"{text}{variant} can load, too"
+        evidence.undecided[name] = f"{text}{variant} can load, too"
         return
     try:
         with mi.variant_context(variant):
             bsdf = load()
-            plain = [_ask(bsdf, *own, random) for own in answers]
+            plain = [_ask(Probe(bsdf, x.condition), x) for x in evidence.samples]
     except (SettingError, PluginFault, ImportError, RuntimeError) as error:
         text = f"the plugin failed in {variant}, where it must be registered too"
-        evidence.undecided["first_element"] = f"{text}: {error}"
+        evidence.undecided[name] = f"{text}: {error}"
         return
-    for (values, lobes), (value, flux, types) in zip(answers, plain):
-        same_lobe = lobes.delta & (lobes.type == types)
-        _compare(evidence, values, value, values.finite)
-        _compare(evidence, lobes.flux, flux, same_lobe)
-        if evidence.of("first_element"):
+    for samples, (value, alone) in zip(evidence.samples, plain):
+        same_lobe = samples.discrete & (alone.type == samples.type)
+        _compare(evidence, samples, EVAL, samples.eval, value, samples.smooth)
+        _compare(evidence, samples, SAMPLE, samples.flux, alone.flux, same_lobe)
+        if evidence.of(name):
             return  # the same in the other mode
 
 
+def _ask(probe: Probe, samples: Samples) -> tuple[Floats, Samples]:
+    """Values, and samples, without polarisation."""
+    return probe.values(samples.wo), drawn_samples(probe, *samples.random)
+
+
 def _compare(
-    evidence: Evidence, matrices: Matrices, plain: Floats, asked: Flags
+    evidence: Evidence,
+    samples: Samples,
+    function: Function,
+    light: Floats,
+    plain: Floats,
+    asked: Flags,
 ) -> None:
     """Check first elements against unpolarised answers, where `asked`."""
-    light = matrices.light
     size = np.maximum(np.abs(light), np.abs(plain))
-    differs = (np.abs(light - plain) > ROUNDING * size + 1e-9).any(axis=-1)
+    differs = (np.abs(light - plain) > ELEMENT_ROUNDING * size + 1e-9).any(axis=-1)
     wrong = np.asarray(differs & asked)
     if not beyond_rounding(wrong):
         return
@@ -90,20 +91,10 @@ def _compare(
     if not np.isclose(low, high, rtol=1e-3):
         factor = f"{low:.4g} to {high:.4g}"
     off = float(min(1.0, np.abs(ratio - 1).mean()) * wrong.mean())
-    fields = {"factor": factor, "mode": matrices.in_mode}
-    guess = FirstElement.FACTOR(matrices.function, **fields)
+    guess = FirstElement.FACTOR(
+        function, factor=factor, mode=in_mode(samples.condition)
+    )
     text = f"it is {factor} times the unpolarised answer"
-    who = matrices.function
-    what = of_flux if who is SAMPLE else answer_of(who)
+    what = of_flux if function is SAMPLE else answer_of(function)
     how = {"found": text, "off": off, "shown": Claim(first_element, by_sample, (what,))}
-    evidence.breach(FIRST_ELEMENT, guess, matrices, wrong, **how)
-
-
-def _ask(
-    bsdf: mi.BSDF, values: Matrices, lobes: Lobes, random: Floats
-) -> tuple[Floats, Floats, Integers]:
-    """Values, and flux and types of samples, without polarisation."""
-    probe = MuellerProbe(bsdf, values.asked.mode)
-    drawn = probe.sample(lobes.weights.wi, random, values.uv)
-    value = probe.eval(values.wi, values.wo, values.uv)
-    return value.light, drawn.flux.light, drawn.type
+    evidence.breach(FIRST_ELEMENT, guess, samples, wrong, **how)

@@ -7,21 +7,33 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ...array_types import Flags, Floats, Numbers
+from ...array_types import Flags, Floats, Integers, Numbers
+from ...collector.directions import angles, direction
 from ...collector.stokes import plane_axis, reframed, turn
-from ..arrays import answer_of, drawn, in_plane, lit_from, per_first
-from ..conditions import TURN
+from ..arrays import Sides, answer_of, drawn, in_plane, lit_from, per_first
+from ..conditions import PLACES, TURN
 from ..evidence import BIAS, POLARISING, SAME, Evidence, Question
-from ..judgements import elements
+from ..judgements import by_sample
 from ..mistakes import EVAL, Claim, Mistake
-from ..mueller import Matrices, Reading, is_identity, off, per_light, readings
-from ..samples import beyond_rounding
-from .matrices import ROUNDING
+from ..mueller import (
+    Matrices,
+    Reading,
+    eval_at,
+    eval_with_slack,
+    flux_of,
+    is_identity,
+    lobe_slack,
+    off,
+    per_light,
+    readings,
+    relative_slack,
+    samples_at,
+)
+from ..samples import ELEMENT_ROUNDING, Samples, beyond_rounding
+from .matrices import SAME_DIRECTION
 
 
-def turned(
-    bsdf: Any, ctx: Any, si: Any, u: Any, what: Any, normal: Any
-) -> tuple[Any, Any]:
+def turned(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any, normal: Any) -> Sides:
     """Matrices are the same where both directions turn about the normal."""
     bs, _ = drawn(bsdf, ctx, si, u)
     rotation = mi.Transform4f().rotate(normal, 37)
@@ -29,29 +41,27 @@ def turned(
         in_plane(what, bsdf, ctx, si, wi, wo, u, normal)
         for wi, wo in ((si.wi, bs.wo), (rotation @ si.wi, rotation @ bs.wo))
     )
-    return here, there
+    return here, there, True
 
 
-def in_the_world(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> tuple[Any, Any]:
+def in_the_world(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> Sides:
     """Matrices are the same where the surface is turned in the world."""
     (bs, _), found = drawn(bsdf, ctx, si, u), []
     for normal in ([0, 0, 1], [0.6, 0, 0.8]):
         there = type(si)(si)
         there.sh_frame = mi.Frame3f(normal)
         found.append(per_first(np.array(what(bsdf, ctx, there, bs.wo, u))))
-    return found[0], found[1]
+    return found[0], found[1], True
 
 
-def next_to(
-    bsdf: Any, ctx: Any, si: Any, u: Any, what: Any, *pairs: Any
-) -> tuple[Any, Any]:
+def next_to(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any, *pairs: Any) -> Sides:
     """Matrices do not jump between two pairs of directions next to each other."""
     found = []
     for wi, wo in pairs:
         there = lit_from(si, mi.Vector3f(wi) + dr.zeros(mi.Vector3f, dr.width(u)))
         m = np.array(what(bsdf, ctx, there, mi.Vector3f(wo), u))
         found.append(per_first(m))
-    return found[0], found[1]
+    return found[0], found[1], True
 
 
 FRAMES = Question(
@@ -72,6 +82,15 @@ class Frames(Mistake):
     JUMP_OF_PLANE = """{who} jumps{where}: its elements depend on a plane of incidence,
         of which there is none, as where r_p or t_p has the wrong sign"""
 
+
+# Pairs of directions that are turned, for each thousand samples, and their angles.
+N_PAIRS, N_ANGLES = 12, 16
+
+# Polar angle, in degrees, from which paths go through the pole.
+STEEP = 80.0
+
+# Kinds of paths, and the length in degrees of the two legs of one through wo = wi.
+N_KINDS, LEG = 6, 5.0
 
 # Relative change of the first element up to which it does not depend on the azimuth.
 SAME_LIGHT = 0.01
@@ -99,32 +118,75 @@ BORDERS: dict[str, Callable[[Floats], Floats]] = {
 }
 
 
+def _some(samples: Samples, chosen: Flags) -> Integers:
+    """Numbers of a few samples of each type and side, evenly chosen."""
+    found = np.flatnonzero(chosen)
+    if not len(found):
+        return found
+    sides = np.sign([samples.wi[found, 2], samples.wo[found, 2]])
+    kinds = np.array([*sides, samples.type[found]]).T
+    _, group = np.unique(kinds, axis=0, return_inverse=True)
+    group = group.ravel()  # in NumPy 2.0.0 it has as many axes as `kinds`
+    n = int(group.max()) + 1
+    each = max(2, N_PAIRS * samples.n // 1024 // n)
+    own = (np.array_split(found[group == k], each) for k in range(n))
+    return np.array([x[len(x) // 2] for parts in own for x in parts if len(x)])
+
+
 def check_turned(
+    evidence: Evidence, samples: Samples, normal: Floats, nested: Floats | None
+) -> None:
+    """Check pairs of directions that are turned together about a surface's normal.
+
+    A tilted surface is that of the first place, where `nested` are its axes, (3, 3).
+    """
+    from scipy.spatial.transform import Rotation  # slow to import, rarely needed
+
+    step = 2 * np.pi / N_ANGLES
+    jitter = np.random.default_rng((evidence.seed, 77)).random(N_ANGLES)
+    angle = step * (np.arange(N_ANGLES) + jitter)
+    turns = Rotation.from_rotvec(angle[:, None] * normal).as_matrix()
+    places = samples.condition.uvs
+    for smooth in (True, False):
+        asked = samples.smooth if smooth else samples.discrete & ~samples.null
+        if nested is not None:
+            asked = asked & (places == PLACES[0]).all(axis=-1)
+        pairs = _some(samples, asked)
+        if not len(pairs):
+            continue
+        uv = places[pairs, None]
+        wi = np.einsum("aij,pj->pai", turns, samples.wi[pairs])
+        wo = np.einsum("aij,pj->pai", turns, samples.wo[pairs])
+        if smooth:
+            matrices, slack = eval_with_slack(evidence.bsdf, wi, wo, uv)
+            usable = matrices.lit & matrices.finite
+        else:
+            random = np.broadcast_to(samples.u[pairs, None], wi.shape)
+            turned = samples_at(evidence.bsdf, wi, random, uv)
+            matrices = flux_of(turned, *wi.shape[:2])
+            slack = lobe_slack(evidence.bsdf, turned).reshape(wi.shape[:2])
+            kind = (turned.type * turned.discrete).reshape(slack.shape)
+            usable = (kind > 0) & (kind == kind[:, :1])
+            # a discrete lobe turns with its source
+            usable &= np.abs(matrices.wo - wo).max(-1) < SAME_DIRECTION
+        same = np.asarray(usable.all(axis=1))
+        if same.any():
+            found = matrices.take(same), slack[same]
+            _check_azimuth(evidence, *found, normal, nested)
+
+
+def _check_azimuth(
     evidence: Evidence,
     matrices: Matrices,
     slack: Floats,
-    normal: Numbers,
-    nested: Numbers | None,
+    normal: Floats,
+    nested: Floats | None,
 ) -> None:
-    """Check that the matrix does not depend on a common azimuth, unless anisotropic.
+    """Check that matrices, (pairs, angles), do not depend on a common azimuth.
 
     For an anisotropic surface, it is a mistake only if another reading of the matrices
     makes them independent of the azimuth.
-
-    Parameters
-    ----------
-    evidence : Evidence
-    matrices : Matrices
-        Of shape (pairs, angles): both directions are turned about the normal.
-    slack : ndarray, shape (pairs, angles)
-        What rounding may leave of elements over the first one.
-    normal : ndarray, shape (3,)
-        Of the surface.
-    nested : ndarray, shape (3, 3), or None
-        Axes of a nested BSDF.
     """
-    if not len(matrices.wi):
-        return
     misfit = _misfit(matrices.in_plane(normal))
     wrong = misfit > 2 * slack.max(axis=1)
     if not wrong.any():
@@ -143,7 +205,7 @@ def check_turned(
     text += "directions turn about the normal,"
     how: dict[str, Any] = {"size": float(misfit[worst]), "off": float(wrong.mean())}
     given = answer_of(matrices.function), normal.round(9).tolist()
-    how |= {"found": text, "shown": Claim(turned, elements, given)}
+    how |= {"found": text, "shown": Claim(turned, by_sample, given)}
     evidence.breach(FRAMES, guess, matrices.condition((worst, 0)), **how)
 
 
@@ -180,7 +242,21 @@ def _handedness(
     return float(np.abs(m[..., :2, 2:]).mean() + np.abs(m[..., 2:, :2]).mean())
 
 
-def check_world(
+def check_world(evidence: Evidence, samples: Samples) -> None:
+    """Check the same pairs of directions on a surface that is turned in the world."""
+    bsdf, uv = evidence.bsdf, samples.condition.uvs
+    here = Matrices.of(samples, EVAL, samples.full("eval"))
+    there = eval_at(bsdf, here.wi, here.wo, uv, turned=True)
+    slack = relative_slack(samples.eval_slack, samples.eval)
+    _compare(evidence, here, there, samples.usable, slack)
+    lobes = samples_at(bsdf, samples.wi, samples.u, uv, turned=True)
+    same = samples.given & lobes.given & (lobes.type == samples.type)
+    same &= np.abs(lobes.wo - samples.wo).max(-1) < SAME_DIRECTION
+    slack = lobe_slack(bsdf, samples)
+    _compare(evidence, flux_of(samples), flux_of(lobes), same, slack)
+
+
+def _compare(
     evidence: Evidence, here: Matrices, there: Matrices, asked: Flags, slack: Floats
 ) -> None:
     """Check that matrices do not change where the surface is turned in the world.
@@ -191,7 +267,7 @@ def check_world(
     size = np.where(asked, np.nan_to_num(off(m, turned)), 0.0)
     change = np.abs(there.light - here.light)
     same_light = (change <= SAME_LIGHT * here.light).all(axis=-1)
-    wrong = same_light & (size > ROUNDING + slack)
+    wrong = same_light & (size > ELEMENT_ROUNDING + slack)
     if not beyond_rounding(wrong):
         return
     worst = int(np.argmax(np.where(wrong, size, 0)))
@@ -204,14 +280,71 @@ def check_world(
     text += "surface is turned in the world,"
     how: dict[str, Any] = {"size": float(size[worst]), "off": float(wrong.mean())}
     what = answer_of(here.function)
-    how |= {"found": text, "shown": Claim(in_the_world, elements, (what,))}
+    how |= {"found": text, "shown": Claim(in_the_world, by_sample, (what,))}
     evidence.breach(FRAMES, mistake(here.function), here.condition((worst,)), **how)
 
 
 # ------------------------------------------------------------------------------- jumps
 
 
-def check_jumps(
+def check_jumps(evidence: Evidence, samples: Samples) -> None:
+    """Check paths of one or both directions over the sphere."""
+    bsdf, places = evidence.bsdf, samples.condition.uvs
+    pairs = _some(samples, samples.smooth)
+    if len(pairs):
+        wi, wo, uv = samples.wi[pairs], samples.wo[pairs], places[pairs]
+
+        def _eval_along(paths: Numbers, at: Floats) -> tuple[Matrices, Numbers]:
+            pair, kind = paths // N_KINDS, paths % N_KINDS
+            at_wi, at_wo = wi[pair], wo[pair]
+            straight = _through(at_wi, at_wo, at)
+            at_wo = np.where((kind == 5)[..., None], straight, at_wo)
+            # both around, wi around, wo around, wi over the pole, wo over it
+            at_wi = _moved(at_wi, at, kind <= 1, kind == 3)
+            at_wo = _moved(at_wo, at, (kind == 0) | (kind == 2), kind == 4)
+            return eval_at(bsdf, at_wi, at_wo, uv[pair]), np.zeros(at.shape)
+
+        _check_paths(evidence, _eval_along, N_KINDS * len(pairs))
+    lobes = _some(samples, samples.discrete)
+    if len(lobes):
+        lit, random, uv = samples.wi[lobes], samples.u[lobes], places[lobes]
+
+        def _sample_along(paths: Numbers, at: Floats) -> tuple[Matrices, Numbers]:
+            which, kind = paths // 2, paths % 2
+            moved = _moved(lit[which], at, kind == 0, kind == 1)
+            found = samples_at(bsdf, moved, random[which], uv[which])
+            kinds = found.type * found.discrete * np.sign(found.wo[:, 2])
+            return flux_of(found, *at.shape), kinds.reshape(at.shape)
+
+        _check_paths(evidence, _sample_along, 2 * len(lobes))
+
+
+def _moved(d: Floats, places: Floats, around: Flags, over: Flags) -> Floats:
+    """Directions turned about the normal or moved over the pole, or unchanged."""
+    theta, phi = angles(d)
+    z = np.sign(d[..., 2])
+    turned = direction(theta, phi + 2 * np.pi * places)
+    steep = np.radians(STEEP) * (2 * places - 1)
+    led = direction(np.abs(steep), np.where(steep < 0, phi + np.pi, phi))
+    led[..., 2] *= z
+    d = np.broadcast_to(d, turned.shape)
+    return np.where(around[..., None], turned, np.where(over[..., None], led, d))
+
+
+def _through(wi: Floats, wo: Floats, places: Floats) -> Floats:
+    """Directions wo of paths through wi, or through -wi of light that is transmitted.
+
+    The path turns there by 45 degrees, between whose sides all errors of signs differ.
+    """
+    middle = wi * np.sign(wi[..., 2:] * wo[..., 2:])
+    s = plane_axis(middle)
+    other = (s + np.cross(middle, s)) / np.sqrt(2)
+    leg = np.where(places[..., None] < 0.5, s, other)
+    angle = np.radians(LEG) * np.abs(2 * places - 1)[..., None]
+    return np.asarray(np.cos(angle) * middle + np.sin(angle) * leg)
+
+
+def _check_paths(
     evidence: Evidence,
     path: Callable[[Numbers, Floats], tuple[Matrices, Numbers]],
     n_paths: int,
@@ -260,7 +393,7 @@ def check_jumps(
     text += f"({condition}), on {len(size)} of {n_paths} paths over the sphere"
     how: dict[str, Any] = {"size": float(size[worst]) / 2, "off": len(size) / n_paths}
     given = answer_of(matrices.function), *zip(wi, wo)
-    how["shown"] = Claim(next_to, elements, given)
+    how["shown"] = Claim(next_to, by_sample, given)
     evidence.breach(FRAMES, guess, condition, statistic=text, **how)
 
 

@@ -1,4 +1,4 @@
-"""All elements of matrices: functions agree, in both directions and transport modes."""
+"""All elements of matrices: in both directions and transport modes."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -8,50 +8,29 @@ import numpy as np
 
 from ...array_types import Flags, Floats
 from ...collector.stokes import EXCHANGE, UPRIGHT
-from ..arrays import answer_of, drawn, in_plane, lit_from, per_first
+from ..arrays import Sides, answer_of, drawn, in_plane, lit_from, per_first
 from ..evidence import Evidence, Question
-from ..judgements import by_sample, elements, same
-from ..mistakes import EVAL, PDF, SAMPLE, Claim, Function, Guess, Mistake
+from ..judgements import by_sample
+from ..mistakes import EVAL, SAMPLE, Claim, Function, Guess, Mistake
 from ..mueller import (
-    Lobes,
     Matrices,
+    flux_of,
+    in_mode,
     is_depolarised,
+    lobe_slack,
     off,
     other_mode,
     per_light,
     readings,
+    relative_slack,
+    samples_at,
 )
-from ..samples import beyond_rounding
+from ..samples import ELEMENT_ROUNDING, Samples, beyond_rounding
 from .adjoint import ADJOINT
-from .answers import ANSWERS
-from .eval_pdf import EVAL_PDF, PARTS, joint
 from .reciprocity import RECIPROCITY
-from .sampled_pdf import SAMPLED_PDF
-from .sampled_weight import SAMPLED_WEIGHT
 
 
-def proper(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> tuple[int, int]:
-    """Matrices are finite, and their first element is not negative."""
-    bs, _ = drawn(bsdf, ctx, si, u)
-    m = np.array(what(bsdf, ctx, si, bs.wo, u))
-    return int(np.sum(~np.isfinite(m)) + np.sum(m[0, 0] < 0)), 0
-
-
-def sampled_matrix(bsdf: Any, ctx: Any, si: Any, u: Any) -> tuple[Any, Any]:
-    """Weight times pdf is `eval`, in all elements."""
-    bs, weight = drawn(bsdf, ctx, si, u)
-    flux = np.array(weight) * np.array(bs.pdf)
-    return flux, np.array(bsdf.eval(ctx, si, bs.wo, True))
-
-
-def joint_matrix(bsdf: Any, ctx: Any, si: Any, u: Any) -> tuple[Any, Any]:
-    """`eval_pdf` answers as `eval`, in all elements."""
-    bs, _ = drawn(bsdf, ctx, si, u)
-    both = bsdf.eval_pdf(ctx, si, bs.wo, True)[0]
-    return np.array(both), np.array(bsdf.eval(ctx, si, bs.wo, True))
-
-
-def both_ways(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> tuple[Any, Any]:
+def both_ways(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> Sides:
     """Helmholtz reciprocity, in all elements."""
     bs, _ = drawn(bsdf, ctx, si, u)
     there, back = (
@@ -59,10 +38,10 @@ def both_ways(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> tuple[Any, Any
         for wi, wo in ((si.wi, bs.wo), (bs.wo, mi.Vector3f(si.wi)))
     )
     signs = [1, 1, -1, 1]
-    return there, np.einsum("jick,i,j->ijck", back, signs, signs)
+    return there, np.einsum("jick,i,j->ijck", back, signs, signs), True
 
 
-def both_modes(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> tuple[Any, Any]:
+def both_modes(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> Sides:
     """Radiance mode answers as importance mode on the way back, in all elements."""
     bs, _ = drawn(bsdf, ctx, si, u)
     here, found, modes = mi.Vector3f(si.wi), [], mi.TransportMode
@@ -72,21 +51,17 @@ def both_modes(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> tuple[Any, An
     ):
         own, there = mi.BSDFContext(mode), lit_from(si, wi)
         found.append(per_first(np.array(what(bsdf, own, there, wo, u))))
-    return found[0], found[1]
+    return found[0], found[1], True
 
 
 class Matrix(Mistake):
     """Mistakes in matrices, in one `mode` or in both."""
 
-    NOT_FINITE = "{who} returns matrices with elements that are not finite"
-    NEGATIVE = "{who} returns matrices with a negative first element"
-    DENSITIES = "{who}: their densities differ{mode}"
     FIRST_ELEMENT = """{who}: weight times pdf is another first element than that of
         `eval`; the unpolarised variant tells more{mode}"""
     DEPOLARISES = "{who} depolarises where {other} does not{mode}"
     ELEMENTS = """{who}: weight times pdf differs from `eval` in {n} elements ({names})
         but the first{mode}"""
-    OTHER_VALUES = "{who} gives other {what} than `eval` and `pdf`{mode}"
     NOT_RECIPROCAL = """{who} is not reciprocal in its polarisation: M(wi, wo) is not Q
         M(wo, wi)^T Q"""
     OTHER_WAY = """{who} does not answer for light that goes from wo to wi in radiance
@@ -97,84 +72,77 @@ class Matrix(Mistake):
         radiance mode (ctx.mode)"""
 
 
-# Properties that are judged here, of each transport mode.
-AGREEMENTS = ("sampled_pdf", "sampled_weight", "eval_pdf")
-
-# Relative difference of densities, and of elements over the first one beside their
-# slack, that is no rounding.
-ROUNDING = 2e-3
+# Numbers that choose a lobe on the way back, and the difference of cosines between two
+# directions that are the same.
+CHOICES = (0.01, 0.05, 0.15, 0.35, 0.65, 0.85, 0.95, 0.99)
+SAME_DIRECTION = 1e-3
 
 # Fraction of the difference that a reading leaves which explains it.
 EXPLAINED = 0.05
 
 
-def check_finite(evidence: Evidence, matrices: Matrices, at: str = "") -> None:
-    """Check that all elements are finite and that the first is not negative.
-
-    `at` is text on directions that are none of all, whose share is not known.
-    """
-    bad = ~np.isfinite(matrices.raw).all(axis=(-1, -2, -3))
-    negative = (np.nan_to_num(matrices.light) < 0).any(axis=-1)
-    for wrong, mistake, what in (
-        (bad, Matrix.NOT_FINITE, "elements that are not finite"),
-        (negative, Matrix.NEGATIVE, "a negative first element"),
-    ):
-        if (wrong := np.asarray(wrong)).any():
-            how: dict[str, Any] = {"off": None} if at else {}
-            guess = mistake(matrices.function)
-            how["shown"] = Claim(proper, same, (answer_of(matrices.function),))
-            evidence.breach(ANSWERS, guess, matrices, wrong, found=what + at, **how)
-
-
-def check_sampled(
-    evidence: Evidence, lobes: Lobes, values: Matrices, pdf: Floats, slack: Floats
+def breach_of_elements(
+    evidence: Evidence,
+    question: Question,
+    samples: Samples,
+    flux: Floats,
+    due: Floats,
+    wrong: Flags,
 ) -> None:
-    """Check that weight times pdf is `eval`, and that the pdf is that of `pdf`."""
-    usable = lobes.smooth & values.finite & np.isfinite(pdf)
-    if not usable.any():
-        return
-    density = lobes.pdf
-    wrong = usable & (np.abs(density - pdf) > ROUNDING * np.maximum(density, pdf))
-    if beyond_rounding(wrong):
-        ratio = density[wrong] / np.maximum(pdf[wrong], 1e-30)
-        low, high = np.quantile(ratio, [0.05, 0.95])
-        text = f"the pdf of `sample` is {low:.4g} to {high:.4g} times that of `pdf`"
-        guess = Matrix.DENSITIES(SAMPLE | PDF, mode=values.in_mode)
-        evidence.breach(SAMPLED_PDF, guess, lobes.weights, wrong, found=text, off=None)
-    flux = lobes.flux
-    light = np.maximum(values.light, flux.light)[..., None, None]
-    difference = np.where(light > 0, flux.raw - values.raw, 0)
-    difference = np.abs(difference / np.where(light > 0, light, 1))
-    size = difference.max(axis=(-1, -2, -3))
-    wrong = usable & (size > ROUNDING + slack)
-    if not beyond_rounding(wrong):
-        return
+    """Add that weight times pdf is not `eval` in some element.
+
+    `flux` and `due` are both, and a mask says of which samples they are `wrong`.
+    """
     suspects: tuple[Function, ...] = (SAMPLE, EVAL)
-    if values.asked.mode == "radiance":
+    if samples.condition.mode == "radiance":
         # importance mode tells which answers of `eval` are due
         suspects = (EVAL,) if evidence.of("adjoint") else (SAMPLE,)
-    worst = tuple(np.argwhere(wrong)[np.argmax(size[wrong])])
-    place = np.unravel_index(np.argmax(difference[worst].max(axis=0)), (4, 4))
-    guess = _difference_guess(flux.take(wrong), values.take(wrong), suspects)
-    text = f"weight times pdf is off `eval` by up to {size[worst]:.3g} of the first "
-    text += f"element, in element {place[0]}{place[1]},"
-    how = {"found": text, "shown": Claim(sampled_matrix, elements)}
-    evidence.breach(SAMPLED_WEIGHT, guess, flux.by(size), wrong, **how)
+    light = np.maximum(due, flux)[..., :1, :1]
+    difference = np.abs((flux - due) / np.where(light > 0, light, 1))
+    size = difference.max(axis=(-1, -2, -3))
+    place = np.argmax(difference[_worst(size, wrong)].max(axis=0))
+    both = (
+        Matrices.of(samples, SAMPLE, flux).take(wrong),
+        Matrices.of(samples, EVAL, due).take(wrong),
+    )
+    text = f"weight times pdf is off `eval` by up to {size[wrong].max():.3g} of the "
+    text += f"first element, in element {place // 4}{place % 4},"
+    guess = _difference_guess(*both, suspects)
+    _breach(evidence, question, guess, samples, size, wrong, found=text)
+
+
+def _worst(size: Floats, wrong: Flags) -> int:
+    """Number of the sample that is most wrong."""
+    return int(np.argmax(np.where(wrong, size, -np.inf)))
+
+
+def _breach(
+    evidence: Evidence,
+    question: Question,
+    guess: Guess,
+    samples: Samples,
+    size: Floats,
+    wrong: Flags,
+    **others: Any,
+) -> None:
+    """Add a breach that is shown where the samples are most wrong."""
+    at = samples.middle(np.arange(samples.n) == _worst(size, wrong))
+    evidence.breach(question, guess, samples, wrong, condition=at, **others)
 
 
 def _difference_guess(
     flux: Matrices, values: Matrices, suspects: Sequence[Function]
 ) -> Guess:
     """Guilty function and mistake, where weight times pdf is not `eval`."""
-    in_mode = {"mode": values.in_mode}
+    mode = {"mode": in_mode(values.asked)}
     m_flux, m_eval = per_light(flux.raw), per_light(values.raw)
     light = np.maximum(flux.light, values.light)
-    if (np.abs(flux.light - values.light) > ROUNDING * light).mean() > 0.5:
-        return Matrix.FIRST_ELEMENT(EVAL | SAMPLE, **in_mode)
+    if (np.abs(flux.light - values.light) > ELEMENT_ROUNDING * light).mean() > 0.5:
+        return Matrix.FIRST_ELEMENT(EVAL | SAMPLE, **mode)
     if is_depolarised(m_eval) and not is_depolarised(m_flux):
-        return Matrix.DEPOLARISES(EVAL, other="`sample`", **in_mode)
+        return Matrix.DEPOLARISES(EVAL, other="`sample`", **mode)
     if is_depolarised(m_flux) and not is_depolarised(m_eval):
-        return Matrix.DEPOLARISES(SAMPLE, other="`eval`", **in_mode)
+        return Matrix.DEPOLARISES(SAMPLE, other="`eval`", **mode)
     misfit = off(m_flux, m_eval)
     for function in suspects:
         matrices, right = (flux, values) if function is SAMPLE else (values, flux)
@@ -182,67 +150,81 @@ def _difference_guess(
         for mistake, read in (*readings(matrices, UPRIGHT), *other_mode(matrices)):
             left = off(per_light(read), due)
             if np.mean(left) < EXPLAINED * np.mean(misfit):
-                return mistake(function, **in_mode)
+                return mistake(function, **mode)
     names = [
         f"{i}{j}"
         for i, j in np.ndindex(4, 4)
-        if np.abs(m_flux - m_eval)[..., i, j].max() > ROUNDING
+        if np.abs(m_flux - m_eval)[..., i, j].max() > ELEMENT_ROUNDING
     ]
     those = ", ".join([*names[:6], *(["..."] if len(names) > 6 else [])])
     both = suspects[0] | suspects[-1]
-    return Matrix.ELEMENTS(both, n=len(names), names=those, **in_mode)
+    return Matrix.ELEMENTS(both, n=len(names), names=those, **mode)
 
 
-def check_eval_pdf(
+@RECIPROCITY.asks("matrices")
+def check_both_ways(evidence: Evidence, samples: Samples) -> None:
+    """Check reciprocity, and radiance mode against importance mode on the way back."""
+    if samples.condition.mode == "radiance":
+        return  # which importance mode is compared with
+    there = Matrices.of(samples, EVAL, samples.full("eval"))
+    back = Matrices.of(samples, EVAL, samples.full("reverse")).exchanged()
+    radiance = Matrices.of(samples, EVAL, samples.full("other_mode")).in_radiance()
+    slack = relative_slack(
+        *(samples.eval_slack, samples.eval, samples.reverse_slack, samples.reverse)
+    )
+    slack = np.where(samples.smooth, slack, np.inf)
+    _check_ways(evidence, samples, there, radiance, back, slack)
+    if samples.discrete.any():
+        _check_lobes(evidence, samples)
+
+
+def _check_lobes(evidence: Evidence, samples: Samples) -> None:
+    """Check the same of discrete lobes."""
+    bsdf, uv, n = evidence.bsdf, samples.condition.uvs, samples.n
+    # the same lobe, for any of some choices, in both directions
+    choices = np.repeat(samples.u[:, None], len(CHOICES), axis=1)
+    choices[..., 0] = CHOICES
+    wo = np.where(samples.discrete[:, None], samples.wo, samples.wi)
+    wi = np.broadcast_to(wo[:, None], choices.shape)
+    returned = samples_at(bsdf, wi, choices, uv[:, None])
+    kind = (returned.type * returned.discrete).reshape(n, -1)
+    flux = flux_of(returned, *kind.shape)
+    same = np.abs(flux.wo - samples.wi[:, None]).max(-1) < SAME_DIRECTION
+    same &= (kind > 0) & (kind == samples.type[:, None])
+    back = flux.take((np.arange(n), same.argmax(axis=1)))
+    other = samples_at(bsdf, samples.wi, samples.u, uv, mode="radiance")
+    slack = lobe_slack(bsdf, samples)
+    slack = np.where(samples.discrete & same.any(axis=1), slack, np.inf)
+    known = other.discrete & (other.type == samples.type)
+    modes = flux_of(samples), flux_of(other)
+    _check_ways(evidence, samples, *modes, back, slack, np.where(known, slack, np.inf))
+
+
+def _check_ways(
     evidence: Evidence,
-    values: Matrices,
-    pdf: Floats,
-    both: Matrices,
-    both_pdf: Floats,
-    asked: Flags,
+    samples: Samples,
+    there: Matrices,
+    radiance: Matrices,
+    back: Matrices,
+    slack: Floats,
+    slack_of_modes: Floats | None = None,
 ) -> None:
-    """Check that ``eval_pdf`` answers as ``eval`` and ``pdf``, in all elements."""
-    light = np.where(values.light > 0, values.light, 1)[..., None, None]
-    change = (np.abs(both.raw - values.raw) / light).max(axis=(-1, -2, -3))
-    density = np.abs(both_pdf - pdf) / np.maximum(np.maximum(both_pdf, pdf), 1e-30)
-    for what, wrong, shown in (
-        ("values", asked & (change > ROUNDING), Claim(joint_matrix, elements)),
-        (
-            "densities",
-            asked & (density > ROUNDING),
-            Claim(joint, by_sample, PARTS["pdf"]),
-        ),
-    ):
-        if beyond_rounding(wrong):
-            fields = {"what": what, "mode": values.in_mode}
-            guess = Matrix.OTHER_VALUES(Function.EVAL_PDF, **fields)
-            how: dict[str, Any] = {"off": None, "shown": shown}
-            how["found"] = f"its {what} differ"
-            evidence.breach(EVAL_PDF, guess, values, wrong, **how)
+    """Check ``M(wi, wo) = Q M(wo, wi)^T Q``, and that ``M(wo, wi)`` is radiance mode's.
 
-
-def check_reciprocity(
-    evidence: Evidence, there: Matrices, back: Matrices, slack: Floats
-) -> None:
-    """Check ``M(wi, wo) = Q M(wo, wi)^T Q``, where Q changes the sign of U.
-
-    Matrices are divided by their first elements, which the unpolarised variant judges.
+    Q changes the sign of U. Matrices are divided by their first elements, which the
+    unpolarised variant judges.
     """
-    reverse = per_light(back.in_plane())
-    due = EXCHANGE @ np.swapaxes(reverse, -1, -2) @ EXCHANGE
-    _compare(evidence, RECIPROCITY, there, back, due, slack)
-
-
-def check_adjoint(
-    evidence: Evidence, radiance: Matrices, back: Matrices, slack: Floats
-) -> None:
-    """Check that radiance mode answers from wo to wi as importance mode does."""
-    _compare(evidence, ADJOINT, radiance, back, per_light(back.in_plane()), slack)
+    due = per_light(back.in_plane())
+    reverse = EXCHANGE @ np.swapaxes(due, -1, -2) @ EXCHANGE
+    _compare(evidence, RECIPROCITY, samples, there, back, reverse, slack)
+    slack = slack if slack_of_modes is None else slack_of_modes
+    _compare(evidence, ADJOINT, samples, radiance, back, due, slack)
 
 
 def _compare(
     evidence: Evidence,
     question: Question,
+    samples: Samples,
     one: Matrices,
     back: Matrices,
     due: Floats,
@@ -252,7 +234,7 @@ def _compare(
     m = per_light(one.in_plane())
     both = one.lit & back.lit & one.finite & back.finite
     size = np.where(both, np.nan_to_num(off(m, due)), 0.0)
-    wrong = size > ROUNDING + slack
+    wrong = size > ELEMENT_ROUNDING + slack
     if not beyond_rounding(wrong):
         return
     mistake, stated = Matrix.NOT_RECIPROCAL, both_ways
@@ -263,6 +245,6 @@ def _compare(
         elif is_depolarised(due[wrong]):
             mistake = Matrix.POLARISES_IN_RADIANCE
     text = f"elements over the first are off by up to {size[wrong].max():.3g}"
-    shown = Claim(stated, elements, (answer_of(one.function),))
+    shown = Claim(stated, by_sample, (answer_of(one.function),))
     how = {"found": text, "shown": shown}
-    evidence.breach(question, mistake(one.function), one.by(size), wrong, **how)
+    _breach(evidence, question, mistake(one.function), samples, size, wrong, **how)

@@ -57,8 +57,7 @@ def followed(
     params = parameters(bsdf)
     own = params[name]
     other = dr.select(own == 0, 0.5, own / 2) if to is None else type(own)(to)
-    params[name] = other
-    params.update()
+    params.update({name: other})
     return stated(bsdf, ctx, si, u)
 
 
@@ -158,13 +157,13 @@ def check_changes(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> Non
         evidence.breach(PARAMETERS, guess, found=text, size=3.0, shown=shown)
 
 
-def check_instances(evidence: Evidence, load: Callable[[], mi.BSDF] | None) -> None:
+def check_instances(evidence: Evidence) -> None:
     """Check that answers stay where another instance is loaded, and is changed.
 
     Of plugins in Python, whose class may keep what belongs to an instance.
     """
     plugin = type(getattr(evidence.bsdf, "phase_function", evidence.bsdf))
-    if load is None or plugin in (mi.BSDF, mi.PhaseFunction) or evidence.noisy:
+    if evidence.load is None or plugin in (mi.BSDF, mi.PhaseFunction) or evidence.noisy:
         return
     biased = any(one.effect == BIAS for one in evidence.breaches)
     if biased or evidence.of("answers"):
@@ -173,7 +172,7 @@ def check_instances(evidence: Evidence, load: Callable[[], mi.BSDF] | None) -> N
     asked = replace(usual, n=N_UPDATED), N_UPDATED, (evidence.seed, 6), False
     before = samples_of(evidence.bsdf, *asked)
     try:
-        other = load()
+        other = evidence.load()
         values = _changeable(other)
         with changed(other, {name: _other_value(x) for name, x in values.items()}):
             own = _differing(evidence, before)

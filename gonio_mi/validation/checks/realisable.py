@@ -4,26 +4,26 @@ from typing import Any
 
 import numpy as np
 
-from ...array_types import Flags, Floats
+from ...array_types import Floats
 from ...collector.stokes import coherency_eigenvalues
-from ..arrays import answer_of, drawn, per_first
+from ..arrays import answer_of, drawn, full, per_first
 from ..evidence import BIAS, POLARISING, SAME, Evidence, Question
-from ..judgements import same
-from ..mistakes import Claim, Function, Guess, Mistake
-from ..mueller import Matrices, per_light
-from ..samples import beyond_rounding
+from ..judgements import improper
+from ..mistakes import EVAL, SAMPLE, Claim, Function, Guess, Mistake
+from ..mueller import per_light
+from ..samples import Samples, beyond_rounding
 
 
-def realisable(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> tuple[int, int]:
+def realisable(bsdf: Any, ctx: Any, si: Any, u: Any, what: Any) -> tuple[Any]:
     """No eigenvalue of Cloude's coherency matrix, of Jones matrices, is negative."""
     bs, _ = drawn(bsdf, ctx, si, u)
-    m = np.nan_to_num(np.array(what(bsdf, ctx, si, bs.wo, u)))
-    m = per_first(m.reshape(4, 4, -1))
+    m = per_first(np.nan_to_num(full(what(bsdf, ctx, si, bs.wo, u))))
     pauli = np.array([[1, 0, 0, 1], [1, 0, 0, -1], [0, 1, 1, 0], [0, -1j, 1j, 0]])
     pauli = pauli.reshape(4, 2, 2)
-    coherency = np.einsum("ijk,iab,jcd->kacbd", m, pauli, pauli.conj()) / 4
-    least = np.linalg.eigvalsh(coherency.reshape(-1, 4, 4))[:, 0]
-    return int(np.sum(least < -5e-4)), 0
+    products = np.einsum("iab,jde->ijadbe", pauli, pauli.conj()) / 4
+    coherency = np.einsum("ijcn,ijadbe->cnadbe", m, products)
+    least = np.linalg.eigvalsh(coherency.reshape(*m.shape[2:], 4, 4))[..., 0]
+    return (least + 5e-4,)
 
 
 # Eigenvalue over the trace that rounding may leave below 0: a few times that of
@@ -66,23 +66,31 @@ SIGNS = {
 }
 
 
-def check_matrices(evidence: Evidence, matrices: Matrices, asked: Flags) -> None:
-    """Check that no eigenvalue of the coherency matrix is negative (Cloude 1986)."""
-    asked = asked & matrices.finite & matrices.lit
-    if not asked.any():
-        return
-    chosen = matrices.take(asked)
-    m = per_light(chosen.raw)
-    least = coherency_eigenvalues(m)[..., 0].min(axis=-1)
-    wrong = least < -ROUNDING
-    if not beyond_rounding(wrong):
-        return
-    size, guess = float(-least.min()), _guess(chosen.function, m[wrong])
-    text = "an eigenvalue of the coherency matrix is down to "
-    text += f"{-size:.3g} of their sum, and negative"
-    at = chosen.by(-least), wrong
-    shown = Claim(realisable, same, (answer_of(chosen.function),))
-    evidence.breach(REALISABLE, guess, *at, found=text, size=size, shown=shown)
+@REALISABLE.asks("matrices")
+def check_matrices(evidence: Evidence, samples: Samples) -> None:
+    """Check that no eigenvalue of the coherency matrix is negative (Cloude 1986).
+
+    What is wrong with `eval` is with the weights that are made of it.
+    """
+    if samples.condition.mode == "radiance":
+        return  # which has the same matrices transposed
+    for function, asked in ((EVAL, samples.smooth), (SAMPLE, samples.given)):
+        if evidence.of("realisable"):
+            asked &= samples.delta
+        claim = Claim(realisable, improper, (answer_of(function),))
+        (found,) = realisable(*samples.asked, *claim.given)
+        least = np.where(asked, found.min(axis=0), 0.0)
+        wrong = least < 0
+        if not beyond_rounding(wrong):
+            continue
+        name = "weight" if function is SAMPLE else "eval"
+        guess = _guess(function, per_light(samples.full(name)[wrong]))
+        size = ROUNDING - float(least.min())
+        text = "an eigenvalue of the coherency matrix is down to "
+        text += f"{-size:.3g} of their sum, and negative"
+        at = samples.middle(np.arange(samples.n) == least.argmin())
+        how = {"found": text, "size": size, "shown": claim, "condition": at}
+        evidence.breach(REALISABLE, guess, samples, wrong, **how)
 
 
 def _guess(function: Function, m: Floats) -> Guess:

@@ -17,7 +17,6 @@ from ..arrays import (
     opposite,
     rows,
     smooth,
-    value,
 )
 from ..densities import Means
 from ..evidence import ALL, BIAS, BREAKS, FROM_LIGHTS, MODEL, Evidence, Question
@@ -32,9 +31,9 @@ def exchanged(bsdf: Any, ctx: Any, si: Any, u: Any, other: Any) -> Sides:
     """`eval` over the cosine, and on the way back in another context."""
     bs, weight = drawn(bsdf, ctx, si, u)
     cos_i, cos_o = (np.fmax(np.abs(rows(w.z)), 1e-30) for w in (si.wi, bs.wo))
-    back = value(bsdf, other, lit_from(si, bs.wo), si.wi) / cos_i
+    back = rows(bsdf.eval(other, lit_from(si, bs.wo), si.wi, True)) / cos_i
     counts = smooth(bs, weight) & (cos_o[0] > 1e-3)
-    return value(bsdf, ctx, si, bs.wo) / cos_o, back, counts
+    return rows(bsdf.eval(ctx, si, bs.wo, True)) / cos_o, back, counts
 
 
 def both_ways(bsdf: Any, ctx: Any, si: Any, u: Any) -> Sides:

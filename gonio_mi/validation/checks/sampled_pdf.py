@@ -5,7 +5,7 @@ from typing import Any
 from ..arrays import Sides, density, drawn, rows, smooth
 from ..evidence import BIAS, COMBINED, SAME, Evidence, Question
 from ..judgements import by_sample
-from ..mistakes import SAMPLE, Claim, Mistake
+from ..mistakes import PDF, SAMPLE, Claim, Mistake
 from ..samples import Samples, ratio_of, unequal
 
 
@@ -31,6 +31,7 @@ class SampledPdf(Mistake):
     """Mistakes in a sampled pdf."""
 
     OTHER = "{who} returns another pdf than `pdf`"
+    DIFFER = "{who}: their densities differ"
 
 
 @SAMPLED_PDF.asks("samples")
@@ -42,5 +43,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
     own, due, _ = samples.hold(sampled_pdf)
     wrong = unequal(own, due, samples.pdf_slack[:, None]) & lit
     found = ratio_of(own, due), "its pdf over `pdf`"
-    guess = SampledPdf.OTHER(SAMPLE)
+    # of matrices no counts of directions tell which of both is wrong
+    either = SampledPdf.DIFFER(SAMPLE | PDF)
+    guess = either if samples.matrices else SampledPdf.OTHER(SAMPLE)
     evidence.breach_of_ratio(SAMPLED_PDF, guess, samples, wrong, *found)

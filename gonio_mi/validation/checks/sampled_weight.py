@@ -6,7 +6,7 @@ import numpy as np
 
 from ...array_types import Flags, Floats
 from ...single_precision import BSDF_ROUNDING
-from ..arrays import Sides, density, drawn, rows, smooth, value
+from ..arrays import Sides, density, drawn, full, rows, smooth, value
 from ..densities import Means
 from ..evidence import BIAS, INTERFACE, SAME, SAMPLED, Evidence, Question
 from ..judgements import apart, by_sample
@@ -22,13 +22,14 @@ from ..samples import (
     ratio_of,
     unequal,
 )
+from .matrices import breach_of_elements
 
 
 def sampled_weight(bsdf: Any, ctx: Any, si: Any, u: Any) -> Sides:
     """Weight times pdf is `eval`."""
     bs, weight = drawn(bsdf, ctx, si, u)
-    flux = rows(weight) * density(bsdf, ctx, si, bs.wo)
-    return flux, value(bsdf, ctx, si, bs.wo), smooth(bs, weight)
+    flux = full(weight) * rows(bsdf.pdf(ctx, si, bs.wo, True))
+    return flux, full(bsdf.eval(ctx, si, bs.wo, True)), smooth(bs, weight)
 
 
 SAMPLED_WEIGHT = Question(
@@ -79,14 +80,22 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
             evidence.breach(SAMPLED_WEIGHT, guess, samples.condition)
         return
     flux, due, _ = samples.hold(sampled_weight)
+    by_sampled_pdf = (samples.full("weight").T * samples.sampled_pdf).T
     slacks = samples.eval_slack, samples.pdf_slack
-    wrong = [_differing(samples, one, *slacks) & lit for one in (samples.flux, flux)]
+    wrong = [
+        _differing(samples, one, due, *slacks) & lit for one in (by_sampled_pdf, flux)
+    ]
     lit_alike = samples.condition.wi.ndim == 1
     if lit_alike and beyond_rounding(wrong[1]) and wrong[1].mean() < MAX_SEARCHED:
         few = samples.select(wrong[1])
         closer = closer_slacks(evidence.bsdf, few)
-        wrong[1][wrong[1]] = _differing(few, flux[wrong[1]], *closer)
+        both = flux[wrong[1]], due[wrong[1]]
+        wrong[1][wrong[1]] = _differing(few, *both, *closer)
     if all(beyond_rounding(one) for one in wrong):
+        if samples.matrices:
+            of = SAMPLED_WEIGHT, samples, by_sampled_pdf, due, wrong[0]
+            breach_of_elements(evidence, *of)
+            return
         effect = "" if _is_biased(samples, lit) else INTERFACE
         found = ratio_of(flux, due), "weight times pdf over `eval`"
         guess, at = SampledWeight.OTHER(SAMPLE), (samples, wrong[1])
@@ -104,12 +113,13 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
 
 
 def _differing(
-    samples: Samples, flux: Floats, eval_slack: Floats, pdf_slack: Floats
+    samples: Samples, flux: Floats, due: Floats, eval_slack: Floats, pdf_slack: Floats
 ) -> Flags:
-    """Mask of samples for which weight times a density is not ``eval``."""
+    """Mask of samples for which weight times a density is not the `due` ``eval``."""
     # where a density is badly conditioned, so is the product
     relative = (pdf_slack / np.maximum(samples.pdf, 1e-30))[:, None]
-    return unequal(flux, samples.eval, eval_slack + np.abs(flux) * relative)
+    light = flux[..., 0, 0] if flux.ndim == 4 else flux
+    return unequal(flux, due, eval_slack + np.abs(light) * relative)
 
 
 def _bias(samples: Samples, pdf: Floats, lit: Flags) -> float:

@@ -101,6 +101,7 @@ def check_unsampled_side(evidence: Evidence, condition: Condition) -> None:
         evidence.breach(SAMPLING, Sampling.DARK_SIDE(PDF), condition, **how)
 
 
+@SAMPLING.asks("sweep")
 def check_sweep(evidence: Evidence, sweep: Sweep, key: tuple[int, ...]) -> None:
     """Test directions against ``pdf`` over a sweep of incident directions.
 

@@ -18,9 +18,9 @@ from ...specimen.specimen_text import SpecimenLike, specimen_name
 from ...variants import check_variant
 from ..checks.answers import lattice
 from ..conditions import Condition
-from ..reproducers import source_of
+from ..reproducers import source_of, sources
 from ..samples import ULPS
-from .worker import encoded
+from .table import encoded, told
 
 WORKER = Path(__file__).with_name("worker.py")
 
@@ -38,11 +38,16 @@ STEPS = 3
 
 # A script that asks a BSDF. With one thread, Mitsuba waits for ever for an EXR file.
 SCRIPT = """\
-import os
-from __main__ import answers, load_plugin
+import base64, io, json, os
+from __main__ import load_plugin
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+
+
+{functions}
+
+
 question = dict(np.load("question.npz"))
 os.chdir({folder!r})  # where names of files are meant
 dr.set_thread_count(2)
@@ -50,7 +55,7 @@ mi.set_variant({variant!r})
 for path in {plugins}:
     load_plugin(path)
 {source}, parallel=False)
-print(answers(bsdf, {modes}, question))
+print(told(bsdf, {modes}, question))
 """
 
 
@@ -98,7 +103,7 @@ def answers_about(
     Returns
     -------
     dict
-        Name, what was ``asked``, ``facts``, and ``arrays`` as :func:`.worker.encoded`.
+        Name, what was ``asked``, ``facts``, and ``arrays`` as :func:`.table.encoded`.
 
     Raises
     ------
@@ -122,6 +127,7 @@ def answers_about(
         "u": rng.random((n, 3), dtype=np.float32),
     }
     script = SCRIPT.format(
+        functions=sources(told),
         folder=os.getcwd(),
         variant=mi.variant(),
         plugins=[str(Path(path).resolve()) for path in plugins],

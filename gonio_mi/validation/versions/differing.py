@@ -259,7 +259,7 @@ def _read(path: str | PathLike[str]) -> dict[str, dict[str, Any]]:
 
 
 def decoded(text: str) -> dict[str, Any]:
-    """Arrays of :func:`.worker.encoded`, in double precision or whole numbers."""
+    """Arrays of :func:`.table.encoded`, in double precision or whole numbers."""
     content = io.BytesIO(base64.b64decode(text, validate=True))
     with np.load(content, allow_pickle=False) as arrays:
         kinds = {k: float if x.dtype.kind == "f" else int for k, x in arrays.items()}
