@@ -115,8 +115,9 @@ class Curve:
         size = dr.opaque(mi.UInt32, 1 << bits)
         # from the middle of the unit square on, and around
         place = (place + dr.opaque(mi.UInt32, 3 << bits >> 2)) & (size - 1)
-        # at least two keys: what is gathered from a single one is another kernel
-        keys = dr.concat([keys, keys])
+        if self.sequences == 1:
+            # at least two keys: what is gathered from a single one is another kernel
+            keys = dr.concat([keys, keys])
         base = start >> bits << bits
         tables = curve_tables(base, bits, keys, self.sequences)
         index, eighth = on_curve(tables, place, sequence, base, bits)
@@ -177,7 +178,7 @@ def curves(begin: int, end: int, sequences: int, groups: int) -> Iterator[Curve]
 
 def _whole_packets(idle: mi.UInt32, lane: mi.UInt32, chunk: int) -> mi.UInt32:
     """Lanes with a ray, and as many idle ones of each chunk as fill its last packet."""
-    missing = (dr.block_sum(idle, chunk) - chunk) & (PACKET - 1)
+    missing = dr.block_sum(idle, chunk) & (PACKET - 1)  # chunks are whole packets
     filling = dr.block_prefix_sum(idle, chunk)
     filling = filling < dr.gather(mi.UInt32, missing, split_lanes(lane, chunk)[0])
     kept = dr.compress((idle == 0) | filling)

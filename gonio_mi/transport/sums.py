@@ -9,6 +9,7 @@ sorted by eight exponents at a time into levels, each with a unit of its own.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -215,21 +216,25 @@ class Sums:
         # all powers are whole numbers
         self.counted = setup.method.counted
         self.capacity = n_batches
-        self.n_batches = n_batches = len(setup.classes) * n_batches
+        n_batches = len(setup.classes) * n_batches
+        # no constants of the kernel: another number of batches compiles nothing
+        self._capacity, self._n_batches = (
+            dr.opaque(mi.UInt32, n) for n in (self.capacity, n_batches)
+        )
         self.deposits = setup.method.deposits
         self.channels = n_channels()
         self.width = packet_width()
         self.levels = levels
-        self.bins = dr.zeros(mi.Int64, n_batches * setup.n_bins * self.width)
+        self.bins = _room(n_batches * setup.n_bins * self.width)
         plain = dr.width(self.bins) <= dr.expand_threshold()
         plain &= mi.variant().startswith("llvm")
         self.one = 0 if plain else 1 if self.counted else ONE
         n_rare = self.channels * n_batches * setup.n_bins
-        self.rare = dr.zeros(mi.Int64, len(self.levels) * n_rare)
+        self.rare = _room(len(self.levels) * n_rare)
         # whether there was such a power, for each level
         self.met = dr.zeros(mi.UInt32, LEVELS)
         n_incident = 0 if setup.beam.uniform else self.channels * n_batches
-        self.incident = dr.zeros(mi.Int64, LEVELS * n_incident)
+        self.incident = _room(LEVELS * n_incident)
         # rays whose derivative is no number
         self.unsound = dr.zeros(mi.UInt32, 1)
         self.columns: Any = None
@@ -239,13 +244,13 @@ class Sums:
         if self.n_columns:
             n_units = len(COLUMN_UNITS) * self.channels * n_batches
             size = n_units * setup.n_collected * self.column_width
-            self.columns = dr.zeros(mi.Int64, size)
+            self.columns = _room(size)
 
     def add(
         self, bins: mi.UInt32, exits: Exits, active: mi.Bool, batch: mi.UInt32
     ) -> None:
         """Scatter one ray per lane, each for its `batch`."""
-        batch = batch + self.capacity * self.setup.classes.number(exits.depth)
+        batch = batch + self._capacity * self.setup.classes.number(exits.depth)
         direct = exits.fate == mi.UInt32(Fate.DIRECT)
         if self.deposits:
             bins = self.setup.fate_bins(bins, direct)
@@ -266,7 +271,7 @@ class Sums:
                 place = digits.level() * self.channels + channel
                 shines = active & (digits.ordinary | digits.rare)
                 number = digits.number_in_level()
-                index = place * self.n_batches + batch
+                index = place * self._n_batches + batch
                 _scatter_add(self.incident, number, index, shines)
 
     def deposit(
@@ -330,7 +335,7 @@ class Sums:
             for number, step in enumerate(COLUMN_STEPS, 1):
                 level = dr.select(size >= step, mi.UInt32(number), level)
                 unit = dr.select(size >= step, 2.0 ** -COLUMN_UNITS[number], unit)
-            place = (level * self.channels + channel) * self.n_batches + batch
+            place = (level * self.channels + channel) * self._n_batches + batch
             place = place * self.setup.n_collected + bins
             packet = [mi.Int64(dr.round(one * unit)) for one in several]
             packet += [mi.Int64(0)] * (self.column_width - len(packet))
@@ -351,7 +356,7 @@ class Sums:
         _scatter_add(self.met, mi.UInt32(1), level, active)
         if self.levels:
             step = mi.UInt32(level - self.levels.start)
-            place = (step * self.channels + channel) * self.n_batches + batch
+            place = (step * self.channels + channel) * self._n_batches + batch
             place = place * self.setup.n_bins + bins
             active = active & (step < len(self.levels))
             _scatter_add(self.rare, sign * digits.number_in_level(), place, active)
@@ -374,7 +379,7 @@ class Sums:
         """Return the :class:`Totals` of the first `n_batches`, once the kernel ran."""
         by_class = len(self.setup.classes), self.capacity
         shape: tuple[int, ...] = (*by_class, self.setup.n_bins, self.width)
-        bins = self.bins.numpy().reshape(shape)[:, :n_batches, :, : 1 + self.channels]
+        bins = _first(self.bins, shape)[:, :n_batches, :, : 1 + self.channels]
         rays, flux = bins[..., 0], bins[..., 1:]
         # beyond 64 bits in between, but not in the end
         if self.one or self.channels > 1:
@@ -382,21 +387,22 @@ class Sums:
             flux[..., 1:] += bins[..., 1:2]
         numbers = {0 if self.counted else UNIT: flux}
         shape = len(self.levels), self.channels, *shape[:3]
-        rare = np.moveaxis(self.rare.numpy().reshape(shape), 1, -1)
+        rare = np.moveaxis(_first(self.rare, shape), 1, -1)
         for level, sums in zip(self.levels, rare):
             if self.met[level]:
                 numbers[unit_of(level)] = sums[:, :n_batches]
         incident = None
         if not self.setup.beam.uniform:
             shape = LEVELS, self.channels, *by_class
-            levels = np.moveaxis(self.incident.numpy().reshape(shape), 1, -1)
+            levels = np.moveaxis(_first(self.incident, shape), 1, -1)
             incident = Exact(
                 {unit_of(i): sums[:, :n_batches] for i, sums in enumerate(levels)}
             )
         columns = None
         if self.columns is not None:
             shape = len(COLUMN_UNITS), self.channels, *by_class
-            units = self.columns.numpy().reshape(*shape, -1, self.column_width)
+            shape = *shape, self.setup.n_collected, self.column_width
+            units = _first(self.columns, shape)
             # channels last
             units = units[:, :, :, :n_batches, :, : self.n_columns]
             columns = Exact(dict(zip(COLUMN_UNITS, np.moveaxis(units, 1, -1))))
@@ -546,6 +552,22 @@ def n_numbers() -> int:
     """
     of_elements = len(COLUMN_UNITS) * ELEMENT_WIDTH * n_channels()
     return packet_width() + (of_elements if n_elements() else 0)
+
+
+def _room(n: int) -> mi.Int64:
+    """Zeros for `n` sums, or a few more.
+
+    Dr.Jit adds to copies of small arrays, one for each thread. Their size is a constant
+    of the kernel: rounded up to a power of two, few other sizes compile anything.
+    """
+    few = 0 < n <= dr.expand_threshold()
+    return dr.zeros(mi.Int64, 1 << (n - 1).bit_length() if few else n)
+
+
+def _first(sums: mi.Int64, shape: tuple[int, ...]) -> Integers:
+    """Sums of a shape, of an array that may have room for more."""
+    found: Integers = sums.numpy()[: math.prod(shape)].reshape(shape)
+    return found
 
 
 def _scatter_add(

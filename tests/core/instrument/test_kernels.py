@@ -678,3 +678,28 @@ def test_a_launch_is_one_kernel(scatter, monkeypatch):
         history = dr.kernel_history([dr.KernelType.JIT])
     traced = [one for one in history if one["operation_count"] > 1000]
     assert (len(traced) == 1) == (scatter is None)
+
+
+def to_the_number(n):
+    """`sums._room` without more of it."""
+    return dr.zeros(mi.Int64, n)
+
+
+@pytest.mark.parametrize("room", [None, to_the_number], ids=["right", "twin"])
+@pytest.mark.parametrize(
+    "specimen", [{"type": "diffuse"}, PLATE], ids=["flat", "plate"]
+)
+def test_another_number_of_batches_is_no_other_kernel(specimen, room, monkeypatch):
+    """Exact, where the sums of both have room in arrays of one size."""
+    if room:
+        monkeypatch.setattr(sums, "_room", room)
+    hashes = []
+    for batches in (16, 17):
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            dr.kernel_history_clear()
+            gonio.measure(
+                specimen, 30, estimator="weighted", rays=2**14, batches=batches
+            )
+            history = dr.kernel_history([dr.KernelType.JIT])
+        hashes.append({one["hash"] for one in history})
+    assert (hashes[1] <= hashes[0]) == (room is None)
