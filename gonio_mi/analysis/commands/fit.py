@@ -14,6 +14,7 @@ examples:
   gonio-mi fit table.csv roughplastic --quantity brdf -o fit.png fit.csv
   gonio-mi fit table.csv diffuse --uncertainty 0.01 --aperture-half-angle 1
   gonio-mi fit run.npz mybsdf:tint=0.5 --free weight=0:1 --plugin mybsdf.py
+  gonio-mi fit run.npz surface.xml --free top.alpha.value+base.alpha.value
 
 The data come first, then the models to be fitted. The eval of a flat specimen without
 delta components is integrated, unless --rays is given.
@@ -73,7 +74,8 @@ def add_options(parser: ArgumentParser) -> None:
     text += "scene file or a BSDF such as principled:roughness=0.5, to be measured."
     add_text(parser, "record", "RECORD|TABLE|SPECIMEN", text)
     text = "A BSDF in one word with its known parameters, such as roughconductor, "
-    text += "roughdielectric:int_ior=1.5, roughplastic, diffuse or principled."
+    text += "roughdielectric:int_ior=1.5, roughplastic, diffuse or principled; or a "
+    text += "scene file, with --free."
     add_text(parser, "models", "MODEL", text, nargs="+")
     text = "Parameters to fit, or NAME=LOW:HIGH. Default: the usual ones of the model."
     add_text(parser, "--free", "NAME", text, nargs="+")

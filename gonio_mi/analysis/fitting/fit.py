@@ -27,10 +27,7 @@ from ..comparison.measure_like import PRECISION_SETTINGS, first_that_can
 from ..quantities import Quantity, quantity
 from .least_squares import MAX_REDUCED_CHI2, MAX_SCATTER, FittedModel, Search
 from .observations import Observations, RecordObservations, TableObservations
-
-# Rounds of refined nodes and weights; a round is the last that moves no parameter by
-# more than a part of its uncertainty, or of itself, which no node would notice.
-MAX_ROUNDS, MAX_MOVE_STD_ERRS, MAX_REL_MOVE = 8, 0.02, 1e-3
+from .scene_model import FittedScene, SceneSearch, is_scene
 
 # How the model's light is measured for a quantity: each ray of light adds to each
 # receptor, so that the result follows the parameters smoothly.
@@ -79,15 +76,20 @@ def fit(
         at 24, 45 and 66 degrees of incidence, the middles of three equal parts of
         diffuse light: its ``eval`` is integrated (``quadrature``) where it is flat and
         has no delta components, else it is sampled.
-    model : str or dict
-        BSDF plugin with what is known of it: ``"roughconductor:distribution=ggx"``.
+    model : str, dict, path or mi.Scene
+        BSDF plugin with what is known of it: ``"roughconductor:distribution=ggx"``. Or
+        a scene, such as a surface of facets, or a BSDF with others in it, for records:
+        it is measured as the record was, at each step with derivatives where it has
+        them, and the search begins where it is.
     free : sequence of str, optional
         Parameters to be found; with limits, ``"weight=0:1"``, of any name. Default for
         ``diffuse``: reflectance; ``roughconductor``: alpha and specular_reflectance, of
         a metal that reflects all light unless it is said; ``roughdielectric``: alpha,
         int_ior; ``roughplastic``: alpha, int_ior, diffuse_reflectance; ``principled``:
         base_color, roughness, metallic, specular. Mitsuba has air, of index 1.000277,
-        outside unless ``ext_ior`` is said. Colours of three channels are within 0 and
+        outside unless ``ext_ior`` is said. Parameters of a scene are named as by
+        `mi.traverse`, or by the end of that: ``"bsdf_0.alpha.value"``; several that are
+        one and the same are joined by ``+``. Colours of three channels are within 0 and
         1, as Mitsuba loads no others: one that would pass 1 is in ``at_limit``.
     start : mapping of str to float, optional
         Where the search for some of them begins: ``{"alpha": 0.01}``. Default: for a
@@ -100,7 +102,8 @@ def fit(
     progress : bool
         Show a progress bar on standard error.
     **settings
-        Of :func:`~gonio_mi.measure`, for a specimen: other angles, `rays`.
+        Of :func:`~gonio_mi.measure`, for a specimen: other angles, `rays`. Beside a
+        record those of a scene, by default four times its rays.
 
     Returns
     -------
@@ -111,8 +114,9 @@ def fit(
     ValueError
         If the record cannot be fitted, or does not determine the parameters.
     """
-    bsdf = parse_specimen(model) if isinstance(model, str) else model
-    if not (isinstance(bsdf, Mapping) and "type" in bsdf):
+    bsdf: Any = parse_specimen(model) if isinstance(model, str) else model
+    scene = is_scene(bsdf, free or ())
+    if not (scene or (isinstance(bsdf, Mapping) and "type" in bsdf)):
         raise SettingError(f"model must be a BSDF with a type, got {shown(model)}")
     if isinstance(record, Mapping) and "type" not in record:  # several, of orders
         text = f"record must be one record, table or specimen, got {shown(record)}"
@@ -122,19 +126,35 @@ def fit(
         "scale_uncertainty": scale_uncertainty,
         "aperture_half_angle": aperture_half_angle,
     }
+    own_settings: dict[str, Any] = {}
     if not isinstance(record, (Record, MeasuredTable)):
-        FittedModel(bsdf, free, ("Y",), start)  # refused before anything is measured
+        if not scene:
+            FittedModel(bsdf, free, ("Y",), start)  # refused before it is measured
         record = _measured(record, settings, progress)
+    elif scene:
+        own_settings = settings
     elif given := [name for name in settings if settings[name] is not None]:
         kind = type(record).__name__
         raise SettingError(f"{min(given)} applies to a specimen, got a {kind}")
     record = _as_told(record, {k: v for k, v in told.items() if v is not None})
     observations = _observations(record)
     channels = record.channels if isinstance(record, Record) else ("Y",)
-    fitted = FittedModel(bsdf, free, channels, start)
-    with bar(progress, desc=f"fit of {bsdf['type']}", unit="prediction") as report:
-        search = Search(observations, fitted, report)
-        values, covariance = _found(search)
+    fitted: FittedModel | FittedScene
+    if not scene:
+        fitted = FittedModel(bsdf, free, channels, start)
+    elif isinstance(record, Record):
+        fitted = FittedScene(bsdf, free or (), start, record)
+    else:
+        raise SettingError(
+            f"a fit of a scene needs a record, got the table {record.name}: take a BSDF"
+        )
+    search: Search
+    with bar(progress, desc=f"fit of {fitted.name}", unit="prediction") as report:
+        if isinstance(fitted, FittedScene):
+            search = SceneSearch(fitted, report, own_settings)
+        else:
+            search = Search(observations, fitted, report)
+        values, covariance = search.found()
     predicted = search.predicted(values)
     at_limit = search.at_limit(values)
     chi2 = float(np.sum(search.residuals(predicted) ** 2))
@@ -147,7 +167,7 @@ def fit(
     misplaced = np.abs(predicted - search.values).sum() / search.values.sum() / 2
     return Fit(
         record,
-        fitted.bsdf(values),
+        fitted.described(values),
         fitted.names,
         values,
         covariance,
@@ -158,27 +178,9 @@ def fit(
         at_limit=tuple(name for name, at in zip(fitted.names, at_limit) if at),
         scatter=scatter,
         model=fitted,
+        measured=search.measured(values) if isinstance(search, SceneSearch) else None,
+        derivatives=search.derivatives,
     )
-
-
-def _found(search: Search) -> tuple[Floats, Floats]:
-    """Values of the parameters, and their covariance."""
-    values, names = search.begin(), search.model.names
-    if search.values.size <= len(names):
-        raise SettingError(
-            f"a fit of {', '.join(names)} needs more than {len(names)} values, got "
-            f"{search.values.size}"
-        )
-    for _ in range(MAX_ROUNDS):
-        search.adapt(values)
-        before, values = values, search.minimum(values)
-        covariance = search.covariance(values)
-        moved = np.abs(values - before)
-        noise = np.nan_to_num(np.sqrt(np.diag(covariance)))
-        small = np.maximum(MAX_MOVE_STD_ERRS * noise, MAX_REL_MOVE * np.abs(values))
-        if np.all(moved <= small):
-            break
-    return values, covariance
 
 
 def _measured(
@@ -290,8 +292,12 @@ class Fit:
         Of a table that states no uncertainty, or a record of integrals: how far its
         points are from the model, relative, or its patches, relative to themselves and
         their mean; root mean square. `chi2` is then that of points as uncertain.
-    model : FittedModel, optional
+    model : FittedModel or FittedScene, optional
         The BSDF with its free parameters, which :meth:`quantity` varies.
+    measured : Record, optional
+        Of a scene, its last measurement.
+    derivatives : {"exact", "differences"}
+        By what the search and the uncertainties know how the model changes.
     """
 
     record: Record | MeasuredTable
@@ -305,7 +311,9 @@ class Fit:
     predicted: Floats
     at_limit: tuple[str, ...] = ()
     scatter: float | None = None
-    model: FittedModel | None = None
+    model: FittedModel | FittedScene | None = None
+    measured: Record | None = None
+    derivatives: str = "differences"
 
     @property
     def std_errs(self) -> Floats:
@@ -327,6 +335,8 @@ class Fit:
     @cached_property
     def prediction(self) -> Record | MeasuredTable:
         """Record of the model as the record was measured, or the model's table."""
+        if self.measured is not None:
+            return self.measured
         if isinstance(self.record, MeasuredTable):
             return replace(
                 self.record,
@@ -379,10 +389,12 @@ class Fit:
         own: dict[str, Any] = {} if settings.keys() & PRECISION_SETTINGS else DEPOSITS
         if isinstance(self.record, Record):
             own = own | {"side": self.record.asked.side}
+        if self.measured is not None:
+            own = own | {"period": self.measured.asked.period}
 
         def results(values: Floats) -> list[Quantity]:
             """Quantities of the model with these values."""
-            bsdf = self.model.bsdf(values) if self.model else {}
+            bsdf: Any = self.model.bsdf(values) if self.model else {}
             found = quantity(name, bsdf, **own | settings)
             return [found] if isinstance(found, Quantity) else list(found)
 
@@ -445,6 +457,7 @@ class Fit:
             "misplaced": self.misplaced,
             "at_limit": list(self.at_limit),
             "scatter": self.scatter,
+            "derivatives": self.derivatives,
         }
 
     def _repr_html_(self) -> str:

@@ -30,6 +30,10 @@ REL_STEP = 3e-4
 # step, after which the best of them is known.
 FIRST_STEPS, FIRST_CHANGE = 12, 1e-3
 
+# Rounds of refined nodes and weights; a round is the last that moves no parameter by
+# more than a part of its uncertainty, or of itself, which no node would notice.
+MAX_ROUNDS, MAX_MOVE_STD_ERRS, MAX_REL_MOVE = 8, 0.02, 1e-3
+
 # Chi-square per degree of freedom beyond which noise does not explain what is left; and
 # the relative distance of points from the model that may be noise of an instrument.
 MAX_REDUCED_CHI2, MAX_SCATTER = 1.5, 0.1
@@ -49,7 +53,14 @@ class Search:
     model : FittedModel
     report : callable, optional
         Called with 1 for each prediction.
+
+    Attributes
+    ----------
+    derivatives : str
+        As of :class:`.Fit`.
     """
+
+    model: Any
 
     def __init__(
         self,
@@ -58,6 +69,7 @@ class Search:
         report: Callable[[float], Any] | None,
     ) -> None:
         self.observations, self.model = observations, model
+        self.derivatives = "differences"
         self._loaded, self._report = LoadedModel(model), report
         # the last prediction and its parameters, with the nodes as they are
         self._last: tuple[Floats, Floats] | None = None
@@ -66,6 +78,25 @@ class Search:
         self._ends = np.cumsum([one.values.size for one in observations])[:-1]
         self._predictions = [each for one in observations for each in one.predictions]
         self._order = observations[0].order  # a table is alone
+
+    def found(self) -> tuple[Floats, Floats]:
+        """Values of the parameters, and their covariance."""
+        values, names = self.begin(), self.model.names
+        if self.values.size <= len(names):
+            raise SettingError(
+                f"a fit of {', '.join(names)} needs more than {len(names)} values, got "
+                f"{self.values.size}"
+            )
+        for _ in range(MAX_ROUNDS):
+            self.adapt(values)
+            before, values = values, self.minimum(values)
+            covariance = self.covariance(values)
+            moved = np.abs(values - before)
+            noise = np.nan_to_num(np.sqrt(np.diag(covariance)))
+            small = np.maximum(MAX_MOVE_STD_ERRS * noise, MAX_REL_MOVE * np.abs(values))
+            if np.all(moved <= small):
+                break
+        return values, covariance
 
     def begin(self) -> Floats:
         """Values of a first search on a few nodes: the best minimum of all starts."""
@@ -144,6 +175,17 @@ class Search:
 
         NaN for parameters at a limit, and for those of which any value would do.
         """
+        estimate, free = self._estimate(values)
+        total = np.full((len(values), len(values)), np.nan)
+        total[np.ix_(free, free)] = 0.0
+        both = estimate, self.scales**2
+        parts = (np.split(array, self._ends, axis=-1) for array in both)
+        for one, part, variances in zip(self.observations, *parts):
+            total[np.ix_(free, free)] += one.points(variances).covariance(part)
+        return total
+
+    def _estimate(self, values: Floats) -> tuple[Floats, Flags]:
+        """How the minimum moves with each value, and which parameters move at all."""
         low, high = self.model.limits
         jacobian = self._jacobian(values) / self.scales[:, None]
         size = np.linalg.norm(jacobian, axis=0)
@@ -154,14 +196,7 @@ class Search:
                 f"the record does not determine {', '.join(self.model.names)} "
                 "together: give some of them, as in roughconductor:alpha=0.2"
             )
-        estimate = np.linalg.pinv(jacobian) / self.scales
-        total = np.full((len(values), len(values)), np.nan)
-        total[np.ix_(free, free)] = 0.0
-        both = estimate, self.scales**2
-        parts = (np.split(array, self._ends, axis=-1) for array in both)
-        for one, part, variances in zip(self.observations, *parts):
-            total[np.ix_(free, free)] += one.points(variances).covariance(part)
-        return total
+        return np.linalg.pinv(jacobian) / self.scales, free
 
     def at_limit(self, values: Floats) -> Flags:
         """Which of the parameters would go beyond their limits."""
@@ -280,7 +315,45 @@ class Parameter:
         return replace(self, starts=(found,), finer=())
 
 
-class FittedModel:
+class Limited:
+    """What has free parameters, each within its limits.
+
+    Attributes
+    ----------
+    parameters : tuple of Parameter
+    """
+
+    parameters: tuple[Parameter, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(parameter.name for parameter in self.parameters)
+
+    @property
+    def limits(self) -> tuple[Floats, Floats]:
+        """The lower and the upper limits of the parameters."""
+        low, high = np.array([(p.low, p.high) for p in self.parameters]).T
+        return low, high
+
+    def part_within_limits(self, values: Floats, step: Floats) -> float:
+        """Largest part of a step from some values, up to 1, that passes no limit."""
+        low, high = self.limits
+        room = np.where(step > 0, high - values, values - low)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            parts = np.where(step != 0, room / np.abs(step), 1.0)
+        return float(np.clip(parts.min(), 0.0, 1.0))
+
+    def starts(self, finer: bool = False) -> list[Floats]:
+        """Values from which to begin, of a parameter with fewer in turn."""
+        if finer and not any(p.finer for p in self.parameters):
+            return []
+        each = [(finer and p.finer) or p.starts for p in self.parameters]
+        most = max(map(len, each))
+        return list(np.transpose([(one * most)[:most] for one in each]))
+
+
+class FittedModel(Limited):
     """A BSDF in which some parameters are free.
 
     Parameters
@@ -327,7 +400,7 @@ class FittedModel:
         for name, value in (start or {}).items():
             i = names.index(checked_choice("start", name, names))
             found[i] = found[i].begun_at(value)
-        self.fixed = dict(bsdf)
+        self.fixed, self.name = dict(bsdf), str(bsdf["type"])
         self.channels = tuple(channels)
         self.parameters = tuple(part for one in found for part in self._by_channel(one))
 
@@ -359,32 +432,7 @@ class FittedModel:
         }
         return self.fixed | single | colours
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the parameters."""
-        return tuple(parameter.name for parameter in self.parameters)
-
-    @property
-    def limits(self) -> tuple[Floats, Floats]:
-        """The lower and the upper limits of the parameters."""
-        low, high = np.array([(p.low, p.high) for p in self.parameters]).T
-        return low, high
-
-    def part_within_limits(self, values: Floats, step: Floats) -> float:
-        """Largest part of a step from some values, up to 1, that passes no limit."""
-        low, high = self.limits
-        room = np.where(step > 0, high - values, values - low)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            parts = np.where(step != 0, room / np.abs(step), 1.0)
-        return float(np.clip(parts.min(), 0.0, 1.0))
-
-    def starts(self, finer: bool = False) -> list[Floats]:
-        """Values from which to begin, of a parameter with fewer in turn."""
-        if finer and not any(p.finer for p in self.parameters):
-            return []
-        each = [(finer and p.finer) or p.starts for p in self.parameters]
-        most = max(map(len, each))
-        return list(np.transpose([(one * most)[:most] for one in each]))
+    described = bsdf
 
 
 class LoadedModel:

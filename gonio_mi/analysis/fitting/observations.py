@@ -54,7 +54,7 @@ class RecordObservations:
     def __init__(self, single: Record) -> None:
         self.single = single
         self.predictions = _predictions(single)
-        self.values = self._kept(single.flux_fraction)
+        self.values = self.kept(single.flux_fraction)
         (self._tally,) = single.tallies
         sampled = not holds_integrals(single.tallies)
         self._has_batches = sampled and self._tally.n_batches > 1
@@ -62,7 +62,7 @@ class RecordObservations:
 
     def variances(self, predicted: Floats) -> Floats:
         """Variances for weights: the record's, smoothed over the detectors' flux."""
-        found = self._std_errs() ** 2
+        found = self.std_errs() ** 2
         if holds_integrals(self.single.tallies):
             least = INTEGRAL_ERR * (self.values + self.values.mean())
             return found + least**2
@@ -79,7 +79,7 @@ class RecordObservations:
         """How many values chi-square has; one of less than a hit counts in part."""
         if holds_integrals(self.single.tallies):
             return float(self.values.size)
-        return float(np.sum(self._std_errs() ** 2 / variances))
+        return float(np.sum(self.std_errs() ** 2 / variances))
 
     def misfit(self, predicted: Floats) -> float:
         """Chi-square; of integrals, of distances relative to value and mean."""
@@ -103,18 +103,18 @@ class RecordObservations:
         found = Points.of_record(self.single, 0, where)
         return replace(found, roots=np.vstack([found.roots, rounding]))
 
-    def _kept(self, values: Floats) -> Floats:
+    def kept(self, values: Floats) -> Floats:
         """Values of the detectors, without what is between them, in one row."""
         detectors = self.single.subdivision.n_detectors
         hemispheres, channels = self.single.n_hemispheres, len(self.single.channels)
         return values.reshape(hemispheres, -1, channels)[:, :detectors].ravel()
 
-    def _std_errs(self) -> Floats:
+    def std_errs(self) -> Floats:
         """Standard errors of the flux fractions; 0 where nothing is known of one."""
         solid = self.single.subdivision.projected_solid_angles[..., None]
         both = [self.single.brdf_std_err, self.single.btdf_std_err]
         errors = np.stack([one * solid for one in both if one is not None])
-        return self._kept(np.nan_to_num(errors))
+        return self.kept(np.nan_to_num(errors))
 
 
 class TableObservations:

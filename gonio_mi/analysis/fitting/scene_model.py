@@ -1,0 +1,302 @@
+"""Scenes with free parameters, which are measured with their derivatives.
+
+A scene has no integrals of one ``eval``. It is measured as the record was, with rays of
+its own, at each step of the search, and once more with gradients, which tell where to
+go. The noise of the model is in the uncertainties.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from os import PathLike
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from ...array_types import Floats
+from ...errors import SettingError, SpecimenError, checked_choice, shown
+from ...results.record import Record
+from ...specimen.loading import specimen_of
+from ...specimen.specimen_text import SpecimenLike
+from ...transport.gradients import Gradients
+from ..comparison.measure_like import measure_like
+from .least_squares import KNOWN, Limited, Parameter, Search
+from .observations import RecordObservations
+
+# Rays of a model for each of the record: a fifth of the variance of a difference. With
+# as many as the record's, the noise of the derivatives made parameters of a field of
+# facets 1.2 times as uncertain as was said (120 seeds), with these 1.08: Student's t.
+RAYS_PER_RAY, MAX_RAYS = 4, 2**24
+
+# Estimators that differentiate; for records of others, rays that carry their weights.
+DIFFERENTIATING = ("weighted", "next_event", "quadrature")
+
+# Differences where there is no derivative, relative to a value or to a tenth of its
+# range, of light that is deposited: it follows a parameter smoothly, where rays that go
+# elsewhere are noise, which would make all steps too short.
+DIFFERENCE, DEPOSITS = 0.1, {"estimator": "next_event", "trace": True}
+
+# Of the first search: the relative change of chi-square, or of a parameter, by its last
+# step, and its steps at most. Steps after it, and the standard errors of the last one.
+FIRST_CHANGE, FIRST_STEPS, MAX_STEPS, LAST_STEP = 0.01, 12, 6, 0.5
+
+
+def is_scene(model: Any, free: Sequence[str]) -> bool:
+    """Whether a model is measured: what is no BSDF, or has parameters within it."""
+    if any("." in one or "+" in one for one in (text.split("=")[0] for text in free)):
+        return True
+    if not isinstance(model, Mapping):
+        return isinstance(model, (str, PathLike, mi.Object))
+    return "type" in model and _has_geometry(model)
+
+
+def _has_geometry(model: Mapping[str, Any]) -> bool:
+    """Whether a dictionary is that of a shape or a scene."""
+    kind = mi.PluginManager.instance().plugin_type(str(model["type"]))
+    if kind is not mi.ObjectType.Unknown:
+        return kind in (mi.ObjectType.Shape, mi.ObjectType.Scene)
+    try:  # one in Python
+        return isinstance(mi.load_dict(dict(model)), (mi.Shape, mi.Scene))
+    except (RuntimeError, ValueError, TypeError):
+        return False  # a BSDF without its free parameters, or what is refused as one
+
+
+class FittedScene(Limited):
+    """A scene in which parameters of BSDFs and textures are free.
+
+    Parameters
+    ----------
+    scene : dict, mi.Scene, str or path
+        As of :func:`gonio_mi.measure`. What it has is where the search begins.
+    free : sequence of str
+        Parameters as `mi.traverse` names them, or the ends of their names, with limits
+        as in ``"bsdf.weight.value=0:1"``; those of a known kind, such as ``alpha``,
+        have limits of their own. Several that are one and the same are joined by ``+``.
+    start : mapping of str to float, optional
+        Where the search for some of them begins.
+    record : Record
+        As which it is measured.
+
+    Raises
+    ------
+    ValueError
+        If there is no such parameter, or one without limits.
+    """
+
+    def __init__(
+        self,
+        scene: SpecimenLike,
+        free: Sequence[str],
+        start: Mapping[str, float] | None,
+        record: Record,
+    ) -> None:
+        self.record = record
+        loaded = specimen_of(scene, period=record.asked.period)
+        self.scene, self.name = loaded.source, loaded.name
+        self._params = mi.traverse(self.scene)
+        self.keys: list[list[str]] = []
+        found = []
+        for text in free:
+            joined, equals, limits = text.partition("=")
+            own = Gradients.of_names(self.scene, joined.split("+")).columns
+            keys = [key for column in own for key in column.directions]
+            if len(set(keys)) < len(keys):
+                raise SettingError(
+                    f"free must name parameters of one number each, got {shown(text)}"
+                )
+            kind = keys[0].removesuffix(".value").rpartition(".")[2]
+            known = f"{kind}={KNOWN[kind][1]}:{KNOWN[kind][2]}" if kind in KNOWN else ""
+            if not (equals or known):
+                raise SettingError(
+                    f"free must give limits as in {joined}=0:1, got {shown(text)}"
+                )
+            one = Parameter.parse(f"{joined}={limits}" if equals else known)
+            now = float(np.clip(self._number(keys[0]), one.low, one.high))
+            found.append(Parameter(joined, (now,), one.low, one.high))
+            self.keys.append(keys)
+        if not found:
+            Gradients.of_names(self.scene, [""])  # which says what there is
+        names = [one.name for one in found]
+        for name, value in (start or {}).items():
+            i = names.index(checked_choice("start", name, names))
+            found[i] = found[i].begun_at(value)
+        self.parameters = tuple(found)
+
+    def _number(self, key: str) -> float:
+        value = self._params[key]
+        return float(np.ravel(value)[0])
+
+    def bsdf(self, values: Floats) -> mi.Scene:
+        """The scene, moved to these values."""
+        for keys, value in zip(self.keys, values):
+            for key in keys:
+                self._params[key] = type(self._params[key])(float(value))
+        self._params.update()
+        return self.scene
+
+    def described(self, values: Floats) -> dict[str, Any]:
+        """The scene's name, and the parameters by their keys."""
+        own = {
+            key: float(value) for keys, value in zip(self.keys, values) for key in keys
+        }
+        return {"type": self.name} | own
+
+
+class SceneSearch(Search):
+    """The search of a scene's parameters, by measurements.
+
+    Rays of their own tell the derivatives and the weights of the patches: with those of
+    the prediction, a patch that by chance is too bright would have too much of both,
+    and pull the parameters.
+
+    Parameters
+    ----------
+    model : FittedScene
+    report : callable, optional
+        Called with 1 for each measurement.
+    settings : mapping
+        Of :func:`gonio_mi.measure`, for the predictions.
+
+    Attributes
+    ----------
+    derivatives : {"exact", "differences"}
+        What measurements tell of themselves, or differences of some.
+    """
+
+    def __init__(
+        self,
+        model: FittedScene,
+        report: Callable[[float], Any] | None,
+        settings: Mapping[str, Any],
+    ) -> None:
+        record, self.model, self._report = model.record, model, report
+        self.derivatives = "exact"
+        self.observations = self._observed = _observed(record)
+        self.values = np.concatenate([one.values for one in self.observations])
+        self.scales = np.ones_like(self.values)
+        self._ends = np.cumsum([one.values.size for one in self.observations])[:-1]
+        known, own = record.settings, dict[str, Any]()
+        if known["estimator"] not in DIFFERENTIATING:
+            own["estimator"] = "weighted"
+        if known.get("rays"):
+            own["rays"] = min(RAYS_PER_RAY * known["rays"], MAX_RAYS)
+        own["seed"] = max(record.provenance.seeds, default=0) + 1
+        own |= {name: value for name, value in settings.items() if value is not None}
+        self._predicting, self._guiding = own, own | {"seed": own["seed"] + 1}
+        self._held: dict[str, tuple[Floats, Record]] = {}
+
+    def _measured(self, what: str, values: Floats) -> Record:
+        """The model's record for a prediction, or for what guides the search."""
+        if what in self._held and np.array_equal(self._held[what][0], values):
+            return self._held[what][1]
+        own = dict(self._predicting if what == "prediction" else self._guiding)
+        if what == "guide" and self.derivatives == "exact":
+            own["gradients"] = [key for keys in self.model.keys for key in keys]
+        if self._report is not None:
+            self._report(1)
+        try:
+            (found,) = measure_like(self.model.bsdf(values), self.model.record, **own)
+        except SpecimenError:
+            if "gradients" not in own:
+                raise
+            self.derivatives = (
+                "differences"  # of all: one that is refused is asked once
+            )
+            return self._measured(what, values)
+        self._held[what] = values.copy(), found
+        return found
+
+    def measured(self, values: Floats) -> Record:
+        """The model's record."""
+        return self._measured("prediction", values)
+
+    def predicted(self, values: Floats) -> Floats:
+        """Flux fractions of the detectors, as the model has them."""
+        return _fluxes(self.measured(values))
+
+    def found(self) -> tuple[Floats, Floats]:
+        """Values of the parameters, and their covariance.
+
+        After a first search Gauss-Newton steps, of which the last is within the noise:
+        more of them would only follow that of the model.
+        """
+        (values,) = self.model.starts()
+        self._weigh(_fluxes(self._measured("guide", values)))
+        values = self.minimum(values, FIRST_CHANGE, FIRST_CHANGE, FIRST_STEPS)
+        for _ in range(MAX_STEPS):
+            self._adapt(values)
+            covariance = self.covariance(values)
+            inverse = np.linalg.pinv(self._jacobian(values) / self.scales[:, None])
+            before = values
+            step = -inverse @ self.residuals(self.predicted(values))
+            values = np.clip(values + step, *self.model.limits)
+            noise = np.linalg.norm(inverse, axis=1)
+            if np.all(np.abs(values - before) <= LAST_STEP * noise):
+                break
+        return values, covariance
+
+    def _adapt(self, values: Floats) -> None:
+        """Take the variances of the record, and the model's own noise beside them."""
+        self._weigh(_fluxes(self._measured("guide", values)))
+        noise = _variances(_observed(self.measured(values))).sum()
+        self.scales = self.scales * np.sqrt(1 + noise / np.sum(self.scales**2))
+
+    def _jacobian(self, values: Floats) -> Floats:
+        """Derivatives of the prediction."""
+        record = self._measured("guide", values)
+        if self.derivatives == "exact":
+            columns = [
+                np.sum([_flux_gradient(record, key) for key in keys], axis=0)
+                for keys in self.model.keys
+            ]
+            return np.stack(columns, axis=-1)
+        columns, here = [], self._held["guide"]
+        low, high = self.model.limits
+        steps = DIFFERENCE * np.maximum(np.abs(values), (high - low) / 10)
+        for step in np.diag(steps):
+            ends = [np.clip(values + sign * step, low, high) for sign in (1, -1)]
+            more, less = (_fluxes(self._measured("guide", end)) for end in ends)
+            columns.append((more - less) / np.sum(ends[0] - ends[1]))
+        self._held["guide"] = here
+        return np.stack(columns, axis=-1)
+
+    def count(self) -> float:
+        """How many values chi-square has; one of less than a hit counts in part."""
+        own = _observed(self._held["prediction"][1])
+        both = _variances(self._observed) + _variances(own)
+        return float(np.sum(both / self.scales**2))
+
+    def covariance(self, values: Floats) -> Floats:
+        """Covariance of the minimum: noise of the record, and that of the model."""
+        found = super().covariance(values)
+        estimate, free = self._estimate(values)
+        parts = np.split(estimate, self._ends, axis=-1)
+        for one, part in zip(_observed(self.measured(values)), parts):
+            own = one.points(one.variances(one.values)).covariance(part)
+            found[np.ix_(free, free)] += own
+        return found
+
+
+def _observed(record: Record) -> list[RecordObservations]:
+    return [RecordObservations(single) for single in record]
+
+
+def _fluxes(record: Record) -> Floats:
+    """Flux fractions of all detectors."""
+    return np.concatenate([one.values for one in _observed(record)])
+
+
+def _variances(observed: Sequence[RecordObservations]) -> Floats:
+    """Variances of the flux fractions, by the scatter of batches."""
+    return np.concatenate([one.std_errs() ** 2 for one in observed])
+
+
+def _flux_gradient(record: Record, key: str) -> Floats:
+    """Derivative of the flux fractions of all detectors, in one row for each record."""
+    solid = record.subdivision.projected_solid_angles[..., None]
+    rows, sides = [], ("brdf", "btdf")[: record.n_hemispheres]
+    for single, observed in zip(record, _observed(record)):
+        each = [single.gradient(key, of) * solid for of in sides]
+        rows.append(observed.kept(np.nan_to_num(np.stack(each))))
+    return np.concatenate(rows)
