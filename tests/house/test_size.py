@@ -31,8 +31,8 @@ BUDGET = {
     "entrance": 994,
     "materials": 2774,
     "exchange": 3811,
-    "analysis": 5123,
-    "validation": 9872,
+    "analysis": 5370,
+    "validation": 9784,
 }
 CORE, WHOLE = 20305, 41885
 

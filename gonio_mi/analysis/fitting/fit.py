@@ -114,10 +114,7 @@ def fit(
     ValueError
         If the record cannot be fitted, or does not determine the parameters.
     """
-    bsdf: Any = parse_specimen(model) if isinstance(model, str) else model
-    scene = is_scene(bsdf, free or ())
-    if not (scene or (isinstance(bsdf, Mapping) and "type" in bsdf)):
-        raise SettingError(f"model must be a BSDF with a type, got {shown(model)}")
+    bsdf, scene = _parsed(model, free or ())
     if isinstance(record, Mapping) and "type" not in record:  # several, of orders
         text = f"record must be one record, table or specimen, got {shown(record)}"
         raise SettingError(f"{text}: take one of these")
@@ -138,28 +135,30 @@ def fit(
         raise SettingError(f"{min(given)} applies to a specimen, got a {kind}")
     record = _as_told(record, {k: v for k, v in told.items() if v is not None})
     observations = _observations(record)
-    channels = record.channels if isinstance(record, Record) else ("Y",)
-    fitted: FittedModel | FittedScene
-    if not scene:
-        fitted = FittedModel(bsdf, free, channels, start)
-    elif isinstance(record, Record):
-        fitted = FittedScene(bsdf, free or (), start, record)
-    else:
-        raise SettingError(
-            f"a fit of a scene needs a record, got the table {record.name}: take a BSDF"
-        )
-    search: Search
+    fitted = _model(record, bsdf, free, start, scene)
     with bar(progress, desc=f"fit of {fitted.name}", unit="prediction") as report:
+        search: Search
         if isinstance(fitted, FittedScene):
             search = SceneSearch(fitted, report, own_settings)
         else:
             search = Search(observations, fitted, report)
         values, covariance = search.found()
+        return _result(record, fitted, search, values, covariance)
+
+
+def _result(
+    record: Record | MeasuredTable,
+    fitted: FittedModel | FittedScene,
+    search: Search,
+    values: Floats,
+    covariance: Floats,
+) -> Fit:
+    """What a search has found, and how far the model is from the record there."""
     predicted = search.predicted(values)
     at_limit = search.at_limit(values)
     chi2 = float(np.sum(search.residuals(predicted) ** 2))
     dof, scatter = max(round(search.count()) - len(values), 1), None
-    if not all(one.stated for one in observations):
+    if not all(one.stated for one in search.observations):
         # not less than what the errors of integrals are, of a record of such
         least = float(isinstance(record, Record))
         covariance, chi2 = covariance * max(chi2 / dof, least), float(dof)
@@ -180,6 +179,38 @@ def fit(
         model=fitted,
         measured=search.measured(values) if isinstance(search, SceneSearch) else None,
         derivatives=search.derivatives,
+    )
+
+
+def _parsed(model: Any, free: Sequence[str]) -> tuple[Any, bool]:
+    """The model, and whether it is a scene."""
+    bsdf: Any = parse_specimen(model) if isinstance(model, str) else model
+    scene = is_scene(bsdf, free)
+    if scene and not free:
+        raise SettingError(
+            "free (--free) must name parameters of a scene as mi.traverse does, or "
+            f"model must be a BSDF with a type, got {shown(model)}"
+        )
+    if not scene and not (isinstance(bsdf, Mapping) and "type" in bsdf):
+        raise SettingError(f"model must be a BSDF with a type, got {shown(model)}")
+    return bsdf, scene
+
+
+def _model(
+    record: Record | MeasuredTable,
+    bsdf: Any,
+    free: Sequence[str] | None,
+    start: Mapping[str, float] | None,
+    scene: bool,
+) -> FittedModel | FittedScene:
+    """The model with its free parameters, a BSDF or a scene."""
+    if not scene:
+        channels = record.channels if isinstance(record, Record) else ("Y",)
+        return FittedModel(bsdf, free, channels, start)
+    if isinstance(record, Record):
+        return FittedScene(bsdf, free or (), start, record)
+    raise SettingError(
+        f"a fit of a scene needs a record, got the table {record.name}: take a BSDF"
     )
 
 

@@ -93,7 +93,7 @@ class FittedScene(Limited):
     ) -> None:
         self.record = record
         loaded = specimen_of(scene, period=record.asked.period)
-        self.scene, self.name = loaded.source, loaded.name
+        self.scene, self.name = loaded.source, loaded.name.partition(":")[0]
         self._params = mi.traverse(self.scene)
         self.keys: list[list[str]] = []
         found = []
@@ -115,8 +115,6 @@ class FittedScene(Limited):
             now = float(np.clip(self._number(keys[0]), one.low, one.high))
             found.append(Parameter(joined, (now,), one.low, one.high))
             self.keys.append(keys)
-        if not found:
-            Gradients.of_names(self.scene, [""])  # which says what there is
         names = [one.name for one in found]
         for name, value in (start or {}).items():
             i = names.index(checked_choice("start", name, names))

@@ -123,7 +123,7 @@ def test_what_has_no_derivative_is_found_by_differences():
 @pytest.mark.parametrize(
     ("free", "said"),
     [
-        (None, "gradients must name parameters"),
+        (None, "must name parameters of a scene as mi.traverse does"),
         (["alfa.value"], "such as weight.value, bsdf_0.alpha.value"),
         (["weight.value"], r"limits as in weight.value=0:1"),
         (["weight.value=1:0"], "limits as in weight.value=0:1"),
