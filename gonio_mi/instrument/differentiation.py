@@ -20,7 +20,7 @@ from ..settings import Estimator, MeasurementSettings
 from ..specimen.scene_objects import traversed
 from ..specimen.specimen import Specimen
 from ..transport.derivative import Lobes
-from ..transport.gradients import Gradients
+from ..transport.gradients import Gradients, Rules
 from ..transport.launch import send_back
 from ..transport.polarisation import n_channels
 from ..transport.setup import Setup
@@ -31,9 +31,7 @@ from .schedule import Round
 from .setup import check_differentiable, set_up, try_gradients
 
 
-def forward(
-    scene: mi.Scene, settings: MeasurementSettings, rules: dict[str, Lobes]
-) -> Floats:
+def forward(scene: mi.Scene, settings: MeasurementSettings, rules: Rules) -> Floats:
     """Derivative of the map along the gradients that the scene's parameters have.
 
     Parameters
@@ -60,7 +58,7 @@ def forward(
 def backward(
     scene: mi.Scene,
     settings: MeasurementSettings,
-    rules: dict[str, Lobes],
+    rules: Rules,
     loss: Floats,
     known: Record,
 ) -> None:
@@ -127,7 +125,7 @@ def _set_up(
     scene: mi.Scene,
     settings: MeasurementSettings,
     gradients: Gradients,
-    rules: dict[str, Lobes],
+    rules: Rules,
 ) -> list[Setup]:
     """Set-up with gradients that are known to be right."""
     setups = set_up(Specimen(scene, settings.period), settings)

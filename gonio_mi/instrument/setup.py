@@ -27,8 +27,7 @@ from ..specimen.specimen import Specimen
 from ..specimen.wavelengths import check_covered, lanes_of
 from ..transport.beam import Beam
 from ..transport.collector_sphere import CollectorSphere
-from ..transport.derivative import Lobes
-from ..transport.gradients import Gradients
+from ..transport.gradients import Gradients, Rules
 from ..transport.layers import layers_of
 from ..transport.sampling import check_sampler
 from ..transport.setup import Setup
@@ -192,7 +191,7 @@ def try_gradients(
     gradients: Gradients,
     specimen: Specimen,
     settings: MeasurementSettings,
-    known: dict[str, Lobes] | None = None,
+    known: Rules | None = None,
 ) -> None:
     """Compare gradients with differences, as :meth:`.Gradients.check` does."""
     lanes = lanes_of(settings.wavelengths)[0]

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, TypeAlias
 
 import drjit as dr
 import mitsuba as mi
@@ -17,6 +17,10 @@ from ..errors import SettingError, SpecimenError, abridged, did_you_mean, shown
 from ..specimen.scene_objects import class_of, held_objects, traversed
 from .derivative import Derivative, Lobes
 from .gradient_trials import Trial
+
+# What delta lobes follow: by parameter, and whether a number of it is 0, or 1, where
+# light may begin or end.
+Rules: TypeAlias = dict[tuple[str, bool, bool], Lobes]
 
 # Numbers of a parameter, each of which takes its own launch of the rays.
 MAX_NUMBERS = 8
@@ -216,7 +220,7 @@ class Gradients:
         self,
         bsdfs: Sequence[mi.BSDF],
         wavelengths: Any,
-        known: dict[str, Lobes] | None = None,
+        known: Rules | None = None,
     ) -> None:
         """Compare derivatives of the BSDFs with differences.
 
@@ -230,12 +234,14 @@ class Gradients:
         """
         parts = [{id(part) for part in held_objects(bsdf)} for bsdf in bsdfs]
         for column in self.columns:
-            own = {} if known is None else known
+            own, rules = {} if known is None else known, set()
             for key, direction in column.directions.items():
-                if key not in own:
+                numbers = _flat(self._params[key])
+                place = key, bool(np.any(numbers == 0)), bool(np.any(numbers == 1))
+                if place not in own:
                     asked = column, direction, bsdfs, parts, wavelengths
-                    own[key] = self._tried(key, *asked)
-            rules = {own[key] for key in column.directions}
+                    own[place] = self._tried(key, *asked)
+                rules.add(own[place])
             rules = rules - {Lobes.STILL} or rules
             if len(rules) > 1:
                 raise SpecimenError(

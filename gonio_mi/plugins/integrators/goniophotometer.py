@@ -27,6 +27,7 @@ from gonio_mi.specimen.scene_objects import (
     traversed,
 )
 from gonio_mi.specimen.specimen import Specimen
+from gonio_mi.transport.gradients import Rules
 from gonio_mi.variants import check_variant, is_parallel
 
 
@@ -62,7 +63,7 @@ class Goniophotometer(mi.SamplingIntegrator):
         self.settings = MeasurementSettings.from_properties(props, INTEGRATOR)
         super().__init__(props)
         # what delta lobes follow with each parameter, of scenes that are alike
-        self._rules: dict[tuple[str, ...], dict[str, Any]] = {}
+        self._rules: dict[tuple[str, ...], Rules] = {}
 
     @launches_kernels(is_parallel)
     def render(

@@ -12,7 +12,7 @@ from plain_bsdf import plain
 
 import gonio_mi as gonio
 from gonio_mi.cli import main
-from gonio_mi.errors import SettingError, SpecimenError
+from gonio_mi.errors import SettingError, SpecimenError, VariantError
 
 ALPHA = 0.3
 GGX = {"type": "roughconductor", "distribution": "ggx", "alpha": ALPHA}
@@ -335,6 +335,15 @@ REFUSED = {
         {"type": "mask", "opacity": 1.0, "bsdf": GREY},
         *("opacity.value", {}, LIMIT),
     ),
+    "a medium": (
+        {
+            "type": "cube",
+            "bsdf": {"type": "roughdielectric"},
+            "interior": {"type": "homogeneous"},
+        },
+        *("alpha.value", {}, "need a specimen without media"),
+    ),
+    "split": (GREY, "reflectance.value", {"estimator": "split"}, "got split"),
     "facets": (
         HILLS | {"bsdf": {"type": "conductor", "specular_reflectance": 0.8}},
         "bsdf.specular_reflectance.value",
@@ -352,6 +361,33 @@ def test_what_cannot_be_differentiated_is_told(why):
         gonio.measure(specimen, 30, gradients=[name], rays=10, **settings)
     assert words in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_polarised_variants_are_refused():
+    """Exact."""
+    mi.set_variant("llvm_ad_spectral_polarized")
+    with pytest.raises(VariantError, match="needs an unpolarised variant"):
+        gonio.measure(GREY, 30, gradients=["reflectance.value"], rays=10)
+
+
+def test_a_limit_that_a_parameter_reaches_later_is_told():
+    """What was found before holds for other values, but not there."""
+    pane = {"type": "mask", "opacity": 0.5, "bsdf": GREY}
+    scene = scene_of({"type": "rectangle", "bsdf": pane})
+    params = mi.traverse(scene)
+    key = next(key for key in params.keys() if key.endswith("opacity.value"))  # noqa: SIM118
+    for value, refused in ((0.5, False), (0.7, False), (1.0, True)):
+        params[key] = mi.Float(value)
+        dr.enable_grad(params[key])
+        params.update()
+        image = mi.render(scene, params, spp=100)
+        dr.set_grad(params[key], 1.0)
+        if refused:
+            with pytest.raises((RuntimeError, SpecimenError)) as error:
+                dr.forward_to(image)
+            assert LIMIT in str(error.value) + str(error.value.__cause__)
+        else:
+            assert np.any(dr.forward_to(image).numpy())
 
 
 def test_rays_without_a_derivative_are_told():
