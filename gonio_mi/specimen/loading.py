@@ -13,6 +13,7 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from os import PathLike
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import drjit as dr
@@ -94,6 +95,9 @@ MIRROR = {"type": "conductor"}
 
 # Modules that plugin files imported from their own folders.
 _imported: list[str] = []
+
+# Names under which they register plugins.
+_registered: set[str] = set()
 
 
 def existing(specimen: str | os.PathLike[str]) -> Path:
@@ -248,7 +252,8 @@ def _with_advice(text: str) -> str:
         own = "; import your own plugins first, or name their file with --plugin"
         if missing[1] in CALLED:
             return f"{text.rstrip('!')}; did you mean {CALLED[missing[1]]}?"
-        return text.rstrip("!") + (did_you_mean(missing[1], _plugin_files()) or own)
+        known = [*(_registered - {missing[1]}), *_plugin_files()]
+        return text.rstrip("!") + (did_you_mean(missing[1], known) or own)
     if variant := re.search(r"require the use of an? (RGB|spectral) variant", text):
         return f"{text.rstrip('!')}, such as llvm_ad_{variant[1].lower()}"
     if metal := re.search(r'"data/ior/([^"]+)\.eta\.spd": file does not exist', text):
@@ -376,37 +381,56 @@ def _one_line(error: object) -> str:
 
 
 def load_plugin_file(path: str | PathLike[str]) -> None:
-    """Run a user's Python file that registers Mitsuba plugins.
+    """Run a user's Python file that registers Mitsuba plugins, or a package.
 
-    It imports modules from its own folder, as with ``python FILE``. They are imported
-    anew when the file is run again, as they may be bound to a variant.
+    It imports modules from its own folder, as with ``python FILE``, by relative imports
+    too. They are imported anew when the file is run again, as they may be bound to a
+    variant.
+
+    Parameters
+    ----------
+    path : str or path
+        A file; or a folder with an ``__init__.py``, which is imported.
 
     Raises
     ------
     SpecimenError
-        If the file is missing or raises.
+        If the file is missing, raises, or registers a plugin of Mitsuba's name.
     """
     check_variant(is_parallel)
     path, before = Path(path), mi.variant()
-    if not path.is_file():
-        raise SpecimenError(no_file(path))
-    folder = str(path.resolve().parent)
+    is_package = path.is_dir() and (path / "__init__.py").is_file()
+    if not (is_package or path.is_file()):
+        hint = ", and has no __init__.py" * path.is_dir()
+        raise SpecimenError(f"{no_file(path)}{hint}")
+    whole = path.resolve()
+    folder = whole if is_package else whole.parent
     # another file may have imported a module of the same name from its own folder
-    sys.path[:] = [folder, *(one for one in sys.path if one != folder)]
+    sys.path[:] = [str(folder), *(one for one in sys.path if one != str(folder))]
+    # where relative imports find the folder
+    added = [str(folder.parent)] * (str(folder.parent) not in sys.path)
+    sys.path[1:1] = added
     while _imported:
         sys.modules.pop(_imported.pop(), None)
     known = set(sys.modules)
-    scope = {"__name__": path.stem, "__file__": str(path.resolve())}
+    module = ModuleType(path.stem)
+    module.__dict__.update(__file__=str(whole), __package__=folder.name)
+    if not is_package:  # what dataclasses and annotations look names up in
+        sys.modules.setdefault(path.stem, module)
     # Python recognises changed modules by size and the second of their change only, and
     # caches the list of a folder's files by its time of change
     writes_no_bytecode, sys.dont_write_bytecode = sys.dont_write_bytecode, True
     importlib.invalidate_caches()
     try:
-        content = path.read_bytes()
+        content = b"from . import *" if is_package else path.read_bytes()
         text = importlib.util.decode_source(content)
+        for one in folder.glob("*.py") if is_package else [path]:
+            _note_names(path, importlib.util.decode_source(one.read_bytes()))
         # digests and tracebacks show the code that runs, even if the file changes
         linecache.cache[str(path)] = len(text), None, text.splitlines(True), str(path)
-        exec(compile(content, str(path), "exec"), scope)
+        exec(compile(content, str(path), "exec"), vars(module))
+    except SpecimenError:
+        raise
     except (Exception, SystemExit) as error:
         # a user's file may raise anything
         hint = "; leave out its mi.set_variant" * ("jit_init" in str(error))
@@ -416,14 +440,35 @@ def load_plugin_file(path: str | PathLike[str]) -> None:
         ) from error
     finally:
         sys.dont_write_bytecode = writes_no_bytecode
+        for parent in added:
+            sys.path.remove(parent)
         _imported[:] = [
             name
-            for name, module in list(sys.modules.items())
+            for name, one in list(sys.modules.items())
             if name not in known
-            and str(getattr(module, "__file__", None)).startswith(folder + os.sep)
+            and (
+                name == folder.name
+                or str(getattr(one, "__file__", None)).startswith(f"{folder}{os.sep}")
+            )
         ]
     if mi.variant() != before:
         warn(f"plugin file {path} sets the variant {mi.variant()}, instead of {before}")
+
+
+def _note_names(path: Path, text: str) -> None:
+    """Remember the names that a file registers; SpecimenError for one of Mitsuba's.
+
+    Mitsuba takes its own plugin of that name in one variant, and the file's in another.
+    """
+    named = re.findall(r"""register_\w+\(\s*["']([^"']+)["']""", text)
+    kinds = mi.PluginManager.instance()
+    for name in named:
+        if kinds.plugin_type(name) is not mi.ObjectType.Unknown:
+            raise SpecimenError(
+                f"plugin file {path} must register another name than {name}, which a "
+                "plugin of Mitsuba has"
+            )
+    _registered.update(named)
 
 
 def surface_specimen(

@@ -184,6 +184,69 @@ def test_a_file_that_sets_its_own_variant_is_told(tmp_path, rgb):  # noqa: ARG00
         load_plugin_file(path)
 
 
+POSTPONED = """from __future__ import annotations
+from dataclasses import dataclass
+import mitsuba as mi
+from .tints import TINT
+
+@dataclass
+class Tint:
+    value: float = TINT
+
+class Tinted(mi.BSDF):
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        self.ground = mi.load_dict({"type": "diffuse", "reflectance": Tint().value})
+        self.m_components = [self.ground.flags()]
+        self.m_flags = self.ground.flags()
+
+    def sample(self, *asked): return self.ground.sample(*asked)
+    def eval(self, *asked): return self.ground.eval(*asked)
+    def pdf(self, *asked): return self.ground.pdf(*asked)
+    def eval_pdf(self, *asked): return self.ground.eval_pdf(*asked)
+
+mi.register_bsdf("foreign_tinted", Tinted)
+"""
+
+
+@pytest.mark.parametrize("named", ["a file", "a package"])
+def test_files_of_a_package(named, tmp_path, rgb):  # noqa: ARG001
+    """Exact: relative imports, dataclasses with postponed annotations; path as before.
+
+    The twin: a folder that is no package.
+    """
+    folder, before = tmp_path / "tinting", list(sys.path)
+    folder.mkdir()
+    (folder / "tinted.py").write_text(POSTPONED)
+    for tint in (0.25, 0.5):  # as it is now, not as it was imported
+        (folder / "tints.py").write_text(f"TINT = {tint}\n")
+        if named == "a file":
+            load_plugin_file(folder / "tinted.py")
+        else:
+            with pytest.raises(gonio.SpecimenError, match=r"has no __init__\.py$"):
+                load_plugin_file(folder)
+            (folder / "__init__.py").write_text("from . import tinted\n")
+            load_plugin_file(folder)
+            (folder / "__init__.py").unlink()
+        assert dhr({"type": "foreign_tinted"}) == pytest.approx(tint, rel=2**-20)
+    assert set(sys.path) - set(before) == {str(folder)}
+    sys.path[:] = before
+
+
+def test_names_that_files_register(plugin, rgb, tmp_path):  # noqa: ARG001
+    """Near ones are told of a typo; one of Mitsuba's own is refused."""
+    load_plugin_file(plugin)
+    path = tmp_path / "tinged.py"
+    path.write_text(POSTPONED.replace("tinted", "tinged").replace("from .", "# "))
+    with pytest.raises(gonio.SpecimenError, match="TINT"):
+        load_plugin_file(path)
+    with pytest.raises(gonio.SpecimenError, match=r"did you mean foreign_tinged\?$"):
+        dhr({"type": "foreign_tingd"})
+    path.write_text(POSTPONED.replace("foreign_tinted", "diffuse"))
+    with pytest.raises(gonio.SpecimenError, match="another name than diffuse, which"):
+        load_plugin_file(path)
+
+
 def test_integrals_of_plugins_that_look_into_their_arguments(plugin, rgb):  # noqa: ARG001
     """Rounding: single precision of values that are summed in double precision."""
     load_plugin_file(plugin)
