@@ -423,10 +423,12 @@ class Fit:
         if self.measured is not None:
             own = own | {"period": self.measured.asked.period}
 
+        model = self.model
+
         def results(values: Floats) -> list[Quantity]:
             """Quantities of the model with these values."""
-            bsdf: Any = self.model.bsdf(values) if self.model else {}
-            found = quantity(name, bsdf, **own | settings)
+            with model.at(values) as bsdf:
+                found = quantity(name, bsdf, **own | settings)
             return [found] if isinstance(found, Quantity) else list(found)
 
         found, errors = results(self.values), []

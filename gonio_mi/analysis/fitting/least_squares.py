@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -433,6 +434,11 @@ class FittedModel(Limited):
         return self.fixed | single | colours
 
     described = bsdf
+
+    @contextmanager
+    def at(self, values: Floats) -> Iterator[dict[str, Any]]:
+        """Context with the dictionary of these values, as of a scene."""
+        yield self.bsdf(values)
 
 
 class LoadedModel:

@@ -7,7 +7,8 @@ go. The noise of the model is in the uncertainties.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from os import PathLike
 from typing import Any
 
@@ -125,13 +126,21 @@ class FittedScene(Limited):
         value = self._params[key]
         return float(np.ravel(value)[0])
 
-    def bsdf(self, values: Floats) -> mi.Scene:
-        """The scene, moved to these values."""
-        for keys, value in zip(self.keys, values):
-            for key in keys:
-                self._params[key] = type(self._params[key])(float(value))
-        self._params.update()
-        return self.scene
+    @contextmanager
+    def at(self, values: Floats) -> Iterator[mi.Scene]:
+        """Context in which the scene has these values; it is the user's, and stays."""
+        own = {key: self._params[key] for keys in self.keys for key in keys}
+        own = {key: type(value)(value) for key, value in own.items()}
+        try:
+            for keys, value in zip(self.keys, values):
+                for key in keys:
+                    self._params[key] = type(own[key])(float(value))
+            self._params.update()
+            yield self.scene
+        finally:
+            for key, value in own.items():
+                self._params[key] = value
+            self._params.update()
 
     def described(self, values: Floats) -> dict[str, Any]:
         """The scene's name, and the parameters by their keys."""
@@ -194,7 +203,8 @@ class SceneSearch(Search):
         if self._report is not None:
             self._report(1)
         try:
-            (found,) = measure_like(self.model.bsdf(values), self.model.record, **own)
+            with self.model.at(values) as scene:
+                (found,) = measure_like(scene, self.model.record, **own)
         except SpecimenError:
             if "gradients" not in own:
                 raise

@@ -69,6 +69,11 @@ def test_one_parameter_of_two_bsdfs():
     assert fit.derivatives == "exact"
     both = [v for k, v in fit.bsdf.items() if k.endswith("alpha.value")]
     assert both == [fit.values[0]] * 2
+    fit.quantity("dhr", rays=1000)
+    # the scene that was given is the user's, and as it was
+    params = mi.traverse(fit.model.scene)
+    kept = [params[key] for key in fit.bsdf if key.endswith("alpha.value")]
+    assert np.ravel(kept).tolist() == [np.float32(0.4)] * 2
     assert fit.prediction.asked.collector == fit.record.asked.collector
 
 
