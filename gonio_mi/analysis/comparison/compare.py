@@ -27,7 +27,7 @@ from ...results.tally import (
     without_chance,
 )
 from ...specimen.specimen_text import SpecimenLike
-from .agreement import MIN_STUDENT_HITS, PointSet, judge, mostly_few
+from .agreement import MIN_STUDENT_HITS, PointPairs, judge, mostly_few
 from .comparison import Comparison
 from .measure_like import is_specimen, measure_like
 from .pairing import (
@@ -146,7 +146,10 @@ def compare(
             notes.append(POWERLESS)
     undecided = left_undecided(sets, scale, p_values, alpha, notes)
     points = [
-        {**one.columns, **vars(one.readings), "other": one.other.value} for one in sets
+        one.columns
+        | {"value": one.mine.value, "std_err": one.mine.reported_error}
+        | {"other": one.other.value}
+        for one in sets
     ]
     names = (*sets[0].columns, "value", "std_err", "other")
     columns = {name: np.concatenate([one[name] for one in points]) for name in names}
@@ -238,7 +241,7 @@ def _paired(
     records: Sequence[Record],
     other: Record | MeasuredTable,
     given: Mapping[str, float | None],
-) -> tuple[list[PointSet], list[str], tuple[str, str], float]:
+) -> tuple[list[PointPairs], list[str], tuple[str, str], float]:
     """Sets of points of both, notes, labels, and the uncertainty of a common factor.
 
     Of records that both have Mueller matrices all elements are channels.

@@ -1,6 +1,7 @@
 """Pairs of points of a record and of what it is compared with; unlike conditions."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -17,8 +18,8 @@ from ...results.provenance import shared_seeds
 from ...results.record import Record
 from ...results.tally import holds_integrals
 from ...settings import MeasurementSettings, declarations
-from ..points import Points
-from .agreement import PointSet, Readings
+from ..points import CountedPoints, Points
+from .agreement import PointPairs
 from .patch_variation import REMEDY, variation_within
 
 DIRECTIONS = ("theta_i", "phi_i", "theta_o", "phi_o")
@@ -31,7 +32,7 @@ NO_UNCERTAINTY = (
 
 def pair_with_record(
     record: Record, other: Record, relative: float
-) -> tuple[list[PointSet], list[str]]:
+) -> tuple[list[PointPairs], list[str]]:
     """Sets of points of two records, patch by patch."""
     for what, a, b in (
         ("collector", record.subdivision, other.subdivision),
@@ -62,8 +63,9 @@ def pair_with_record(
                 f"phi_i) = ({incident[0]:.6g}, {incident[1]:.6g}) and ({same[0]:.6g}, "
                 f"{same[1]:.6g}) degrees"
             )
-        first = Readings.of(record, k, hemisphere, channel, patch)
-        second = Readings.of(other, k, hemisphere, channel, patch)
+        where = k, hemisphere, channel, patch
+        first = CountedPoints.of(record, *where)
+        second = CountedPoints.of(other, *where, relative)
         columns = {
             "theta_i": np.full(len(patch), incident[0]),
             "phi_i": np.full(len(patch), incident[1]),
@@ -73,11 +75,11 @@ def pair_with_record(
         }
         keys = [(k, h, c) for h, c in zip(hemisphere.tolist(), channel.tolist())]
         sets.append(
-            PointSet(
+            PointPairs(
                 columns,
-                readings=first,
-                other=Points(second.value, relative * np.abs(second.value)),
-                other_readings=second,
+                first,
+                second,
+                weight=first.solid,
                 total_of=keys,
                 sharing=alike[k],
             )
@@ -87,13 +89,14 @@ def pair_with_record(
 
 def pair_with_table(
     records: Sequence[Record], table: MeasuredTable
-) -> tuple[list[PointSet], list[str]]:
+) -> tuple[list[PointPairs], list[str]]:
     """Sets of points of a table, each with the records that hold it.
 
     Points of patches whose variation is not known are left out, with a note.
     """
     notes = [*table.notes, *_stated(table)]
-    points = Points.of_table(table)
+    # the common factor is fitted
+    points = Points.of_table(replace(table, scale_uncertainty=0.0))
     sets = []
     hemisphere = int(table.quantity == "btdf")
     v = direction(np.radians(pole_angle(table.theta_o)), np.radians(table.phi_o))
@@ -112,20 +115,22 @@ def pair_with_table(
             incident = _incident(record, k)
             here = left & held & _same(incident, (table.theta_i, table.phi_i))
             left &= ~here
-            readings = partial(Readings.of, record, k, hemisphere, channel)
+            of_patches = partial(CountedPoints.of, record, k, hemisphere, channel)
             variation = None
             if in_patches and here.any():
                 inside = record.subdivision, patch[here]
-                variation, known = variation_within(*inside, readings)
+                variation, known = variation_within(*inside, of_patches)
                 coarse[here], here[here] = ~known, known
             if not (n := int(here.sum())):
                 continue
             columns: dict[str, Any] = {k: getattr(table, k)[here] for k in DIRECTIONS}
+            means = of_patches(patch[here])
             sets.append(
-                PointSet(
+                PointPairs(
                     columns | {"channel": np.full(n, record.channels[channel])},
-                    readings=readings(patch[here]),
-                    other=points[here],
+                    means,
+                    points[here],
+                    weight=means.solid,
                     total_of=[tuple(np.round(incident, 3))] * n,
                     variation=variation,
                     sharing=sharing(record)[k],

@@ -16,7 +16,8 @@ import numpy as np
 
 from ...array_types import Flags, Integers
 from ...collector import RingsAndSectors, Subdivision
-from .agreement import PointSet, Readings, Variation, judge
+from ..points import CountedPoints
+from .agreement import PointPairs, Variation, judge
 
 # Size of what reaches the patches around one, in sizes of a patch, and points per side.
 NEIGHBOURHOOD, POINTS_PER_SIDE = 2.5, 4
@@ -37,7 +38,7 @@ MAX_STD_ERRS = 3.0
 
 
 def variation_within(
-    patches: Subdivision, patch: Integers, readings_of: Any
+    patches: Subdivision, patch: Integers, points_of: Any
 ) -> tuple[Variation, Flags]:
     """How far values in some patches may be from their means, and where that is known.
 
@@ -45,8 +46,8 @@ def variation_within(
     ----------
     patches : Subdivision
     patch : ndarray of int, shape (n,)
-    readings_of : callable
-        Of numbers of patches, shape (m,): their :class:`Readings`.
+    points_of : callable
+        Of numbers of patches, shape (m,): their :class:`CountedPoints`.
 
     Returns
     -------
@@ -58,8 +59,8 @@ def variation_within(
     """
     around, beyond = _around(patches, patch)
     numbers, where = np.unique(np.stack([*around.T, patch]), return_inverse=True)
-    readings: Readings = readings_of(numbers)
-    value, error = readings.value[where], readings.error[where]
+    means: CountedPoints = points_of(numbers)
+    value, error = means.value[where], means.error[where]
     value, error = value.reshape(-1, len(patch)), error.reshape(-1, len(patch))
     mean, own = value[-1], error[-1]
     apart = np.abs(value[:-1] - mean)
@@ -82,18 +83,18 @@ def variation_within(
 
 
 def left_undecided(
-    sets: Sequence[PointSet],
+    sets: Sequence[PointPairs],
     scale: float,
     p_values: dict[str, float],
     alpha: float,
     notes: list[str],
 ) -> bool:
     """Whether only variation within patches lets two agree; it is noted how large."""
-    known = [(one.variation, one.readings) for one in sets if one.variation is not None]
+    known = [(one.variation, one.mine) for one in sets if one.variation is not None]
     if not known:
         return False
     bounds = np.concatenate([variation.bound for variation, _ in known])
-    values = np.concatenate([readings.value for _, readings in known])
+    values = np.concatenate([points.value for _, points in known])
     parts = bounds / np.where(values > 0, values, np.inf)
     _, _, _, without = judge([replace(one, variation=None) for one in sets], scale)
     least, bare = min(p_values.values()), min(without.values())

@@ -1,5 +1,6 @@
 """Values about directions with their covariance, of a record, a table or a fit."""
 
+from .counted import CountedPoints
 from .points import Points
 
-__all__ = ["Points"]
+__all__ = ["CountedPoints", "Points"]

@@ -13,6 +13,9 @@ from ...files.measured_table import MeasuredTable
 from ...results.record import Record
 from ...results.statistics import residuals
 
+# Hits that stand for a value that is not counted: more than enough for Student's t.
+MANY_HITS = 2.0**60
+
 
 @dataclass(frozen=True, eq=False)
 class Points:
@@ -75,6 +78,38 @@ class Points:
         roots = residuals(sums, incident, record.estimates[index].unlike_power)
         value = sums.sum(axis=0) / incident.sum(axis=0)
         return cls(value, np.zeros_like(value), roots)
+
+    @property
+    def error(self) -> Floats:
+        """Standard error of each value."""
+        return np.sqrt(self.std_err**2 + np.sum(self.roots**2, axis=0))
+
+    @property
+    def reported_error(self) -> Floats:
+        """That of a result, NaN where nothing is known of it."""
+        return self.error
+
+    @property
+    def welch(self) -> Floats:
+        """Sum of the fourth powers of each value's errors over their dof."""
+        return self.std_err**4 / self.dof
+
+    @property
+    def hits(self) -> Floats:
+        """How many hits each value is counted by."""
+        return np.full(len(self.value), MANY_HITS)
+
+    def correlation(self, sigma: Floats) -> tuple[Floats, float]:
+        """Share of the points' covariance: its root, over `sigma` of each point.
+
+        And degrees of freedom, which are finite where it is an estimate.
+        """
+        return self.roots / sigma, np.inf
+
+    def total(self, weight: Floats) -> tuple[float, float, float]:
+        """Weighted sum of the values, its variance and its sum as of `welch`."""
+        variance = float(self.covariance(weight[None])[0, 0])
+        return float(self.value @ weight), variance, float(self.welch @ weight**4)
 
     def covariance(self, weights: Floats) -> Floats:
         """Covariance of weighted sums of the values.

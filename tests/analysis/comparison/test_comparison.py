@@ -20,9 +20,10 @@ from scipy import special, stats
 
 import gonio_mi as gonio
 from gonio_mi.analysis.comparison import compare, measure_like
-from gonio_mi.analysis.comparison.agreement import Readings, _two_hits_score
+from gonio_mi.analysis.comparison.agreement import _two_hits_score
 from gonio_mi.analysis.comparison.comparison import Comparison
 from gonio_mi.analysis.comparison.figure import comparison_figure
+from gonio_mi.analysis.points import CountedPoints
 from gonio_mi.cli import main
 from gonio_mi.collector import subdivision
 from gonio_mi.collector.apertures import Apertures, disjoint_groups
@@ -369,7 +370,9 @@ def test_a_hit_that_weighs_nothing_in_one_of_two_records():
     # one more hit of the other's weight makes means of 1 / 2 and 12 / 13, but for what
     # it weighs: shares of 24 to 13
     z = special.ndtri(special.betainc(12, 2, 13 / 37))
-    one, two = (Readings.of(record, 0, 0, 0, np.zeros(1, int)) for record in (a, b))
+    one, two = (
+        CountedPoints.of(record, 0, 0, 0, np.zeros(1, int)) for record in (a, b)
+    )
     assert _two_hits_score(one, two) == pytest.approx(z, rel=1e-3)
     assert _two_hits_score(two, one) == pytest.approx(-z, rel=1e-3)
     # Student's t, of twelve batches with one hit each and four without, says less
@@ -383,7 +386,7 @@ def test_passes_of_the_same_rays_count_once():
     doubled = replace(made, hits=made.hits * 2, fates=made.fates * np.uint64(2))
     twice = replace(once, tallies=(doubled,)).with_provenance(passes=2)
     patch = np.arange(once.subdivision.n_patches)
-    one, two = (Readings.of(r, 0, 0, 0, patch) for r in (once, twice))
+    one, two = (CountedPoints.of(r, 0, 0, 0, patch) for r in (once, twice))
     for name in ("value", "hits", "exposure", "weight"):
         np.testing.assert_array_equal(getattr(two, name), getattr(one, name))
     assert one.weight[0] > 0, "of an empty patch"
@@ -396,8 +399,8 @@ def test_batches_that_agree_are_trusted_to_a_rounded_hit():
     made.hits[0, 0, 0] = 320
     made.sums[:, 0, 0, 0] = 10 * made.scale
     record = replace(record, tallies=(made,))
-    even = Readings.of(record, 0, 0, 0, np.zeros(1, int))
-    assert even.std_err == 0
+    even = CountedPoints.of(record, 0, 0, 0, np.zeros(1, int))
+    assert even.chance == 0
     solid = record.subdivision.projected_solid_angles[0, 0]
     expected = np.sqrt(32 / 12) / (made.ledger.emitted * solid)
     # rounding: some ten operations
