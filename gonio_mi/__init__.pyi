@@ -9,7 +9,8 @@ from .analysis.exit_profile import (
     ExitProfile as ExitProfile,
     exit_profile as exit_profile,
 )
-from .analysis.fitting.fit import Fit as Fit, fit as fit
+from .analysis.fitting.fit import fit as fit
+from .analysis.fitting.result import Fit as Fit
 from .analysis.micro_normals import (
     MicroNormals as MicroNormals,
     micro_normals as micro_normals,

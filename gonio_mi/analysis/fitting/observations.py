@@ -1,24 +1,22 @@
 """Observations of a fit: values of records and tables, and their uncertainties."""
 
 from dataclasses import replace
-from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from ...array_types import Floats, Integers
-from ...collector.directions import direction
+from ...array_types import Floats
 from ...errors import SettingError
 from ...files.measured_table import MeasuredTable
 from ...results.record import Record
 from ...results.tally import holds_integrals, without_chance
 from ...single_precision import FEW_ROUNDINGS
 from ..points import Points
-from .predictions import (
+from ..points.predictions import (
     INTEGRAL_ERR,
     MIN_INTEGRAL_ERR,
-    ConePredictions,
-    PatchPredictions,
+    predictions_of_record,
+    predictions_of_table,
 )
 
 # Part of the mean below which values without an uncertainty are uncertain alike.
@@ -53,7 +51,7 @@ class RecordObservations:
 
     def __init__(self, single: Record) -> None:
         self.single = single
-        self.predictions = _predictions(single)
+        self.predictions = predictions_of_record(single)
         self.values = self.kept(single.flux_fraction)
         (self._tally,) = single.tallies
         sampled = not holds_integrals(single.tallies)
@@ -133,12 +131,8 @@ class TableObservations:
     def __init__(self, table: MeasuredTable) -> None:
         self.table, self.values = table, table.bsdf
         self.stated = bool(table.bsdf_std_err.any())
-        rows = [
-            np.flatnonzero((table.theta_i == theta_i) & (table.phi_i == phi_i))
-            for theta_i, phi_i in table.incident
-        ]
-        self.order: Any = np.argsort(np.concatenate(rows))
-        self.predictions = list(map(partial(_means, table), table.incident, rows))
+        self.order: Any
+        self.predictions, self.order = predictions_of_table(table)
         self._mean = float(np.abs(self.values).mean())
         if self.stated:
             best = np.quantile(table.bsdf_std_err, KNOWN_BEST) / self._mean
@@ -195,38 +189,6 @@ class TableObservations:
 
 
 Observations: TypeAlias = RecordObservations | TableObservations
-
-
-def _means(
-    table: MeasuredTable, incident: tuple[float, float], rows: Integers
-) -> PatchPredictions | ConePredictions:
-    """What predicts some rows of a table, of one incident direction."""
-    lower = table.quantity == "btdf"
-    theta = table.theta_o[rows]
-    theta, phi = 180 - theta if lower else theta, table.phi_o[rows]
-    light = incident, "front", [table.channel or "Y"]
-    patches = table.patches
-    if patches is not None:
-        number = patches.patch(direction(np.radians(theta), np.radians(phi)))
-        means_of = number + lower * patches.n_patches
-        return PatchPredictions(*light, patches, 1 + lower, means_of)
-    axes, half_angle = np.stack([theta, phi], axis=-1), table.aperture_half_angle or 0.0
-    return ConePredictions(*light, axes, lower, half_angle, means=True)
-
-
-def _predictions(single: Record) -> list[PatchPredictions] | list[ConePredictions]:
-    """What predicts the detectors of a record, hemisphere by hemisphere if cones."""
-    patches = single.subdivision
-    half_angle = patches.aperture_half_angle
-    incident = float(single.theta_i[0]), float(single.phi_i[0])
-    light = incident, single.asked.side, single.channels
-    if half_angle is None:
-        return [PatchPredictions(*light, patches, single.n_hemispheres)]
-    axes = np.degrees(np.concatenate(patches.middles, axis=1))[: patches.n_detectors]
-    return [
-        ConePredictions(*light, axes, lower, half_angle, means=False)
-        for lower in (False, True)[: single.n_hemispheres]
-    ]
 
 
 # Power of the flux that a variance is: 0 of noise from elsewhere, 1 of counts, 2 of

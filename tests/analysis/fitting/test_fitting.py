@@ -17,7 +17,7 @@ from gonio_mi.analysis.fitting.least_squares import (
     LoadedModel,
 )
 from gonio_mi.analysis.fitting.observations import smoothed
-from gonio_mi.analysis.fitting.predictions import INTEGRAL_ERR
+from gonio_mi.analysis.points.predictions import INTEGRAL_ERR
 from gonio_mi.cli import main
 from gonio_mi.collector.directions import direction
 from gonio_mi.commands.arguments import variant_of

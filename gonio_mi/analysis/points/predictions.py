@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,11 +15,12 @@ from ...array_types import Floats, Integers
 from ...collector import Subdivision
 from ...collector.directions import angles, direction
 from ...errors import SettingError
+from ...files.measured_table import MeasuredTable
 from ...quadrature import integrate
 from ...quadrature.cells import NODES_PER_CELL, Cells
 from ...quadrature.evaluator import IncidentLight, square
 from ...quadrature.integrate import Rule
-from ...results.record import wavelengths_nm
+from ...results.record import Record, wavelengths_nm
 from ...specimen.wavelengths import passes, wavelength_lanes
 from ...transport.surface_events import flux_context
 
@@ -28,7 +30,7 @@ INTEGRAL_ERR, MIN_INTEGRAL_ERR = 1e-4, 1e-6
 
 
 @dataclass(eq=False)
-class Predictions:
+class Predictions(ABC):
     """Predictions for one incident direction of a measurement.
 
     The nodes of the integrals are those that one BSDF needs, and stay until `adapt` is
@@ -61,6 +63,14 @@ class Predictions:
     def refine_to(self, integral_err: float) -> None:
         """Refine the nodes to this error from now on."""
         self.integral_err = integral_err
+
+    @abstractmethod
+    def begin(self) -> None:
+        """Take a few nodes, which will do for a first search."""
+
+    @abstractmethod
+    def adapt(self, bsdf: mi.BSDF) -> Floats:
+        """:meth:`of` a BSDF, with the nodes that it needs from now on."""
 
     def of(self, bsdf: mi.BSDF) -> Floats:
         """Values of all places and channels, shape (n * channels,).
@@ -124,7 +134,7 @@ class PatchPredictions(Predictions):
         self.n_patches = self.hemispheres * self.subdivision.n_patches
 
     def begin(self) -> None:
-        """Take the same few nodes in each patch, which will do for a first search."""
+        """See :class:`Predictions`: the same few in each patch."""
         cells = Cells.of(self.subdivision)
         patch = np.repeat(cells.patch, NODES_PER_CELL)
         theta, phi, lower, weight = cells.nodes()
@@ -143,7 +153,7 @@ class PatchPredictions(Predictions):
         return flux[self.means_of] / solid[self.means_of % len(solid)]
 
     def adapt(self, bsdf: mi.BSDF) -> Floats:
-        """:meth:`of` a BSDF, with the nodes that it needs from now on."""
+        """See :class:`Predictions`."""
         self._nodes, parts = [], []
         for nm in self.passes:
             found = integrate(
@@ -243,11 +253,11 @@ class ConePredictions(Predictions):
         super().refine_to(integral_err if self.half_angle else 0.0)
 
     def begin(self) -> None:
-        """Take a few nodes in each cone."""
+        """See :class:`Predictions`."""
         self._take(MIN_NODES)
 
     def adapt(self, bsdf: mi.BSDF) -> Floats:
-        """:meth:`of` a BSDF, with the nodes that it needs from now on."""
+        """See :class:`Predictions`."""
         n, settled = MIN_NODES, not self.half_angle
         self._take(n)
         found = self.of(bsdf)
@@ -292,3 +302,90 @@ class ConePredictions(Predictions):
         local = np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine])
         wo = np.einsum("kij,km->imj", np.stack([down, across, axis]), local)
         return wo, np.where(wo[..., 2] > 0, weight, 0.0)
+
+
+def predictions_of_record(
+    single: Record,
+) -> list[PatchPredictions] | list[ConePredictions]:
+    """What predicts the detectors of a record, hemisphere by hemisphere if cones."""
+    patches = single.subdivision
+    half_angle = patches.aperture_half_angle
+    incident = float(single.theta_i[0]), float(single.phi_i[0])
+    light = incident, single.asked.side, single.channels
+    if half_angle is None:
+        return [PatchPredictions(*light, patches, single.n_hemispheres)]
+    axes = np.degrees(np.concatenate(patches.middles, axis=1))[: patches.n_detectors]
+    return [
+        ConePredictions(*light, axes, lower, half_angle, means=False)
+        for lower in (False, True)[: single.n_hemispheres]
+    ]
+
+
+def predictions_of_table(
+    table: MeasuredTable,
+) -> tuple[list[PatchPredictions | ConePredictions], Integers]:
+    """What predicts the rows of a table, by incident direction, and their order.
+
+    Means over its aperture or else its patches, or the BSDF in its directions.
+    """
+    rows = [
+        np.flatnonzero((table.theta_i == theta_i) & (table.phi_i == phi_i))
+        for theta_i, phi_i in table.incident
+    ]
+    each = [_means(table, *pair) for pair in zip(table.incident, rows)]
+    return each, np.argsort(np.concatenate(rows))
+
+
+def _means(
+    table: MeasuredTable, incident: tuple[float, float], rows: Integers
+) -> PatchPredictions | ConePredictions:
+    """What predicts some rows of a table, of one incident direction."""
+    lower = table.quantity == "btdf"
+    theta = table.theta_o[rows]
+    theta, phi = 180 - theta if lower else theta, table.phi_o[rows]
+    light = incident, "front", [table.channel or "Y"]
+    patches = table.patches
+    if patches is not None:
+        number = patches.patch(direction(np.radians(theta), np.radians(phi)))
+        means_of = number + lower * patches.n_patches
+        return PatchPredictions(*light, patches, 1 + lower, means_of)
+    axes, half_angle = np.stack([theta, phi], axis=-1), table.aperture_half_angle or 0.0
+    return ConePredictions(*light, axes, lower, half_angle, means=True)
+
+
+def check_table(table: MeasuredTable) -> None:
+    """Raise ValueError for a table that no BSDF can be fitted to."""
+    if table.emitter_half_angle:
+        raise SettingError(
+            f"a fit needs a collimated beam, but {table.name} has an "
+            f"emitter_half_angle of {table.emitter_half_angle:g} degrees"
+        )
+    if mi.is_rgb or (mi.is_spectral and wavelengths_nm([table.channel or ""]) is None):
+        raise SettingError(
+            "a fit to a table needs the variant llvm_ad_mono, or llvm_ad_spectral if "
+            f"its channel is a wavelength such as 550nm, got {mi.variant()}"
+        )
+    if not table.bsdf.any():
+        raise SettingError(f"a fit needs light, but all values of {table.name} are 0")
+    if table.bsdf.sum() <= 0:
+        raise SettingError(
+            f"a fit needs light, but the values of {table.name} are negative on average"
+        )
+
+
+def check_record(record: Record) -> None:
+    """Raise ValueError for a record that no BSDF can be fitted to."""
+    spectral = wavelengths_nm(record.channels) is not None
+    colours = len(record.channels) > 1 and not spectral
+    if spectral != mi.is_spectral or (colours and not mi.is_rgb):
+        raise SettingError(
+            f"the variant must be the record's, {record.provenance.variant}, got "
+            f"{mi.variant()}"
+        )
+    filled = record.asked.divergence or record.asked.incident is not None
+    if filled or not np.isfinite(record.theta_i).all():
+        raise SettingError("a fit needs a record of a collimated beam")
+    if not record.flux_fraction.any():
+        raise SettingError(f"a fit needs light, got none (order: {record.asked.order})")
+    if np.isnan(record.brdf_std_err[record.brdf > 0]).any():
+        raise SettingError("a fit needs a record with error bars, of several batches")
