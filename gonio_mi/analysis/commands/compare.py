@@ -4,7 +4,7 @@ Compare a record with another record of the same collector, patch by patch, or w
 table of measured values: text with columns, or a file of Zemax, Speos, FRED,
 OpenMATERIAL or MERL. A specimen in place of the record is measured at the solid angles
 of the table and under its emitter; a specimen in place of the other is measured as the
-record was.
+record was. Two tables are compared where they have the same directions.
 
 examples:
   gonio-mi compare run.npz another.npz
@@ -14,6 +14,7 @@ examples:
       --quantity reflectance_factor --columns theta_i=src_z theta_o=view_z \
       --azimuth mirror --aperture-half-angle 1
   gonio-mi compare run.npz roughconductor:alpha=0.21
+  gonio-mi compare ours.csv theirs.csv --uncertainty 0.01 -o both.png
 
 The table's header holds lines such as `# quantity: brdf`, `# uncertainty: 0.005`,
 `# aperture_half_angle: 0.75` and `# emitter_half_angle: 0.25`; angles are in degrees.
@@ -65,7 +66,7 @@ SPECIMEN = re.compile(r"[A-Za-z_]\w+(:.*)?")
 
 def add_options(parser: ArgumentParser) -> None:
     """Add the options of the command to its parser."""
-    text = "An .exr or .npz file, or a specimen to be measured as OTHER was."
+    text = "An .exr or .npz file, a table, or a specimen to be measured as OTHER was."
     add_text(parser, "record", "RECORD", text)
     text = "An .exr or .npz file, a table, or a specimen, if RECORD is a file."
     add_text(parser, "other", "OTHER", text)
@@ -159,29 +160,35 @@ def _is_record(path: str) -> bool:
 def _other(options: Namespace) -> Any:
     """Record or table that OTHER is; None if it is a specimen."""
     word = options.other
-    if _is_record(word) or (names_specimen(word) and _is_record(options.record)):
+    first_is_data = _is_record(options.record) or is_table(options.record)
+    if _is_record(word) or (names_specimen(word) and first_is_data):
         check_no_table_options(word, options)
         return record_of(word) if _is_record(word) else None
-    if is_table(options.record):
-        raise SettingError(
-            "RECORD must be an .exr or .npz file or a specimen, got the table "
-            f"{options.record}: two tables cannot be compared, and a table comes second"
-        )
     try:
         return table_of(word, options)
     except OpenQuestionsError as error:
-        if _is_record(options.record) or options.aperture_half_angle is not None:
+        if first_is_data or options.aperture_half_angle is not None:
             raise
         aperture = "unless its header states the aperture, say --aperture-half-angle"
         check_nothing_open(error.place, [*error.questions, aperture])
 
 
 def _record_and_specimen(options: Namespace, other: Any) -> tuple[Any, Any, Any]:
-    """Record that RECORD is, and the specimen to be measured with its parameters.
+    """What RECORD is, and the specimen to be measured with its parameters.
 
     None for what is not there.
     """
     word = options.record
+    if is_table(word):
+        if not is_table(options.other):
+            raise SettingError(
+                "RECORD must be an .exr or .npz file or a specimen, unless OTHER is a "
+                f"table too, got the table {word}: a table comes second"
+            )
+        check_not_measured(
+            f"the table {word}", options, ("aperture_half_angle", *MEASURED)
+        )
+        return table_of(word, options), None, None
     if not _is_record(word):
         if _is_record(options.other):
             raise SettingError(

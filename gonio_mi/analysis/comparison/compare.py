@@ -27,17 +27,20 @@ from ...results.tally import (
     without_chance,
 )
 from ...specimen.specimen_text import SpecimenLike
+from ..points import Model
 from .agreement import MIN_STUDENT_HITS, PointPairs, judge, mostly_few
 from .comparison import Comparison
 from .measure_like import is_specimen, measure_like
 from .pairing import (
+    FITTED,
     check_uncertainties,
     labels,
+    pair_with_model,
     pair_with_record,
-    pair_with_table,
     same_rays,
 )
 from .patch_variation import left_undecided
+from .table_pairs import pair_at_table, pair_with_table
 
 # Note on a record of integrals.
 OF_EVAL = (
@@ -57,15 +60,15 @@ ALPHA = 1e-3
 
 
 def compare(
-    record: Record | Sequence[Record] | SpecimenLike,
-    other: Record | MeasuredTable | SpecimenLike,
+    record: Record | Sequence[Record] | MeasuredTable | Model | SpecimenLike,
+    other: Record | MeasuredTable | Model | SpecimenLike,
     *,
     uncertainty: float | None = None,
     scale_uncertainty: float | None = None,
     alpha: float = ALPHA,
     **settings: Any,
 ) -> Comparison:
-    r"""Compare a record with another one, or with measured values.
+    r"""Compare a record, a table or a fit with another one.
 
     The difference of each point over its standard error, from both uncertainties, is
     taken as Student's t with Welch's degrees of freedom, or those of a table if they
@@ -88,11 +91,14 @@ def compare(
 
     Parameters
     ----------
-    record : Record, sequence of Record, dict, str or path
+    record : Record, sequence of Record, MeasuredTable, Fit, dict, str or path
         Several, if `other` is a table: what `measure_like` returns. A specimen (a
-        dictionary, an object of Mitsuba, a scene file) is measured as `other` was.
-    other : Record, MeasuredTable, dict, str or path
-        A specimen is measured as the record was.
+        dictionary, an object of Mitsuba, a scene file) is measured as `other` was. Two
+        tables are compared where they have the same directions.
+    other : Record, MeasuredTable, Fit, dict, str or path
+        A specimen is measured as the record was. A fit has the values of its model at
+        the detectors of a record, or at the points of a table, with the covariance of
+        its parameters.
         A record must have the same collector, channels and incident directions: there
         is no honest way from one set of patch means to another. Where only one has a
         lower hemisphere, no light may have come there. Of records of polarised variants
@@ -124,24 +130,26 @@ def compare(
         If the two cannot be compared: the message names what differs.
     """
     alpha = checked_number("alpha", alpha, 1e-100, 1, "a probability between 0 and 1")
-    records, other = _with_specimen_measured(record, other, settings)
+    first, other = _with_specimen_measured(record, other, settings)
     given = {"uncertainty": uncertainty, "scale_uncertainty": scale_uncertainty}
     if isinstance(other, MeasuredTable):
         stated: Any = {name: x for name, x in given.items() if x is not None}
         other = replace(other, **stated)
-    integrated = isinstance(other, MeasuredTable) and any(
+    records = [] if isinstance(first, (MeasuredTable, Model)) else first
+    integrated = not isinstance(other, Record) and any(
         without_chance(one.tallies) for one in records
     )
     for one in (*records, other):
         if isinstance(one, Record) and not integrated:
             check_uncertainties(one)
-    sets, notes, compared, scale = _paired(records, other, given)
+    sets, notes, compared, scale = _paired(first, other, given)
     if integrated:
         notes.append(OF_EVAL)
     measured = [*records, other] if isinstance(other, Record) else records
     z, errors, statistics, p_values = judge(sets, scale)
     if len(p_values) * min(p_values.values()) >= alpha:
-        notes += same_rays(records, other)
+        if not any(note.endswith(FITTED) for note in notes):
+            notes += same_rays(records or [first], other)
         if any(map(_is_even, measured)) and mostly_few(sets):
             notes.append(POWERLESS)
     undecided = left_undecided(sets, scale, p_values, alpha, notes)
@@ -166,7 +174,7 @@ def compare(
         undecided=undecided,
         within_patches=any(one.variation is not None for one in sets),
     )
-    if isinstance(other, MeasuredTable) and found.verdict == "differ":
+    if records and isinstance(other, MeasuredTable) and found.verdict == "differ":
         more = _note_on_azimuths(records, other, alpha)
         found = replace(found, notes=(*found.notes, *more))
     return found
@@ -174,21 +182,35 @@ def compare(
 
 def _with_specimen_measured(
     record: Any, other: Any, settings: dict[str, Any]
-) -> tuple[list[Record], Any]:
-    """Records, and what they are compared with; a specimen is measured as the other."""
+) -> tuple[Any, Any]:
+    """The two sides; a specimen is measured as the other side was."""
     if is_specimen(record) and isinstance(other, (Record, MeasuredTable)):
         record = measure_like(record, other, **settings)
     elif is_specimen(other) and isinstance(record, Record):
         other = measure_like(other, record, **settings)[0]
     elif settings:
         raise SettingTypeError(f"{min(settings)} applies to a specimen, got none")
-    records = checked_records(record)
-    if not isinstance(other, (Record, MeasuredTable)):
+    if not isinstance(other, (Record, MeasuredTable, Model)):
         raise SettingTypeError(
-            f"other must be a Record or a MeasuredTable, got {shown(other)}"
+            f"other must be a Record, a MeasuredTable or a Fit, got {shown(other)}"
         )
-    if isinstance(other, Record) and len(records) != 1:
-        raise SettingTypeError("record must be one Record if other is one, got several")
+    if isinstance(record, Model) and isinstance(other, Record):
+        record, other = other, record
+    if isinstance(record, (MeasuredTable, Model)):
+        if isinstance(other, Record):
+            raise SettingTypeError(
+                f"record must be the Record, and the table other, got {shown(record)}"
+            )
+        if isinstance(record, Model) and isinstance(other, Model):
+            raise SettingTypeError(
+                "a fit is compared with a record or a table, got two"
+            )
+        return record, other
+    records = checked_records(record)
+    if not isinstance(other, MeasuredTable) and len(records) != 1:
+        raise SettingTypeError(
+            "record must be one Record, unless the other is a table, got several"
+        )
     return records, other
 
 
@@ -238,31 +260,46 @@ def _measured_both_ways(table: MeasuredTable, azimuth: Floats) -> Flags:
 
 
 def _paired(
-    records: Sequence[Record],
-    other: Record | MeasuredTable,
+    first: Sequence[Record] | MeasuredTable | Model,
+    other: Any,
     given: Mapping[str, float | None],
 ) -> tuple[list[PointPairs], list[str], tuple[str, str], float]:
-    """Sets of points of both, notes, labels, and the uncertainty of a common factor.
+    """Sets of points, notes, labels, and the uncertainty of a common factor.
 
     Of records that both have Mueller matrices all elements are channels.
     """
-    record = records[0]
-    if isinstance(other, MeasuredTable):
-        sets, notes = pair_with_table(records, other)
-        compared = abridged(record.provenance.name, LABEL), abridged(other.name, LABEL)
-        return sets, notes, compared, other.scale_uncertainty
     relative, scale = (
         checked_number(name, value or 0, *NUMBERS[name])
         for name, value in given.items()
     )
+    if isinstance(other, MeasuredTable):
+        scale = other.scale_uncertainty
+    if isinstance(first, (MeasuredTable, Model)):
+        sets, notes = pair_at_table(first, other, relative)
+        if isinstance(first, MeasuredTable):
+            scale = float(np.hypot(scale, first.scale_uncertainty))
+        return sets, notes, (_label(first), _label(other)), scale
+    record, told = first[0], []
+    if isinstance(other, MeasuredTable):
+        sets, notes = pair_with_table(first, other)
+        return sets, notes, (_label(record), _label(other)), scale
+    if isinstance(other, Model):
+        sets, notes = pair_with_model(record, other, relative)
+        return sets, notes, (_label(record), _label(other)), scale
     compared = labels(record, other)
-    told: list[str] = []
     if record.polarised and other.polarised:
         record, other = _as_channels(record), _as_channels(other)
     elif record.polarised or other.polarised:
         told.append("one record has no Mueller matrices: M00 is compared")
     sets, notes = pair_with_record(record, other, relative)
     return sets, told + notes, compared, scale
+
+
+def _label(one: Record | MeasuredTable | Model) -> str:
+    """What to call one of two."""
+    if isinstance(one, Model):
+        return abridged(f"fit of {one.label}", LABEL)
+    return abridged(one.provenance.name if isinstance(one, Record) else one.name, LABEL)
 
 
 def _as_channels(record: Record) -> Record:

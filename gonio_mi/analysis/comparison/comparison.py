@@ -11,7 +11,7 @@ from ...plots.figure import finished
 from ...reports.page import picture_and_text
 from .agreement import MIN_STUDENT_HITS
 from .figure import comparison_figure, conclusion, p_text
-from .pairing import NO_UNCERTAINTY
+from .table_pairs import NO_UNCERTAINTY
 
 N_WORST = 5
 

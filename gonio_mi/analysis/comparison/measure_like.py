@@ -27,7 +27,7 @@ from ...results.record import Record, wavelengths_nm
 from ...results.tally import holds_integrals, without_chance
 from ...settings.measurement_settings import ANY_SPECIMEN
 from ...specimen.specimen_text import SpecimenLike
-from .pairing import pole_angle
+from .table_pairs import pole_angle
 
 # Distance in scene units that stands for a source far away.
 FAR_DISTANCE = 1000.0

@@ -1,14 +1,14 @@
-"""Pairs of points of a record and of what it is compared with; unlike conditions."""
+"""Pairs of points of a record and of another, or a model; unlike conditions."""
+
+from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from functools import partial
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from ...array_types import Flags, Floats
-from ...collector.apertures import is_above
+from ...array_types import Integers
 from ...collector.directions import direction
 from ...collector.hemisphere import EDGE
 from ...errors import LABEL, SettingError, abridged, abridged_apart
@@ -18,16 +18,8 @@ from ...results.provenance import shared_seeds
 from ...results.record import Record
 from ...results.tally import holds_integrals
 from ...settings import MeasurementSettings, declarations
-from ..points import CountedPoints, Points
+from ..points import CountedPoints, Model, Points
 from .agreement import PointPairs
-from .patch_variation import REMEDY, variation_within
-
-DIRECTIONS = ("theta_i", "phi_i", "theta_o", "phi_o")
-
-# Note on a table, which comes before all numbers: they mean little without it.
-NO_UNCERTAINTY = (
-    "its values count as exact, unless `uncertainty` (--uncertainty) is given"
-)
 
 
 def pair_with_record(
@@ -48,197 +40,70 @@ def pair_with_record(
     both = record.has_lower and other.has_lower
     if not both:
         _check_dark_below(record, other, notes)
-    patches = record.subdivision
-    n_hemispheres = 2 if both else 1
-    shape = n_hemispheres, patches.n_detectors, len(record.channels)
-    hemisphere, patch, channel = (a.ravel() for a in np.indices(shape))
-    theta, phi = (angle.ravel() for angle in patches.middles)
-    theta_o = np.degrees(theta)[patch]
     sets, alike = [], list(map(max, sharing(record), sharing(other)))
     for k in range(len(record)):
-        incident, same = _incident(record, k), _incident(other, k)
-        if not _same(incident, same):
+        incident, same = incident_of(record, k), incident_of(other, k)
+        if not same_direction(incident, same):
             raise SettingError(
                 "the records must have the same incident directions, got (theta_i, "
                 f"phi_i) = ({incident[0]:.6g}, {incident[1]:.6g}) and ({same[0]:.6g}, "
                 f"{same[1]:.6g}) degrees"
             )
-        where = k, hemisphere, channel, patch
-        first = CountedPoints.of(record, *where)
-        second = CountedPoints.of(other, *where, relative)
-        columns = {
-            "theta_i": np.full(len(patch), incident[0]),
-            "phi_i": np.full(len(patch), incident[1]),
-            "theta_o": np.where(hemisphere, 180 - theta_o, theta_o),
-            "phi_o": np.degrees(phi)[patch],
-            "channel": np.array(record.channels)[channel],
-        }
-        keys = [(k, h, c) for h, c in zip(hemisphere.tolist(), channel.tolist())]
-        sets.append(
-            PointPairs(
-                columns,
-                first,
-                second,
-                weight=first.solid,
-                total_of=keys,
-                sharing=alike[k],
-            )
-        )
+        here = Detectors.of(record, k, 1 + both)
+        second = CountedPoints.of(other, k, *here.where)
+        sets.append(here.paired(second.with_stated(relative), alike[k]))
     return sets, notes
 
 
-def pair_with_table(
-    records: Sequence[Record], table: MeasuredTable
+def pair_with_model(
+    record: Record, model: Model, relative: float
 ) -> tuple[list[PointPairs], list[str]]:
-    """Sets of points of a table, each with the records that hold it.
-
-    Points of patches whose variation is not known are left out, with a note.
-    """
-    notes = [*table.notes, *_stated(table)]
-    # the common factor is fitted
-    points = Points.of_table(replace(table, scale_uncertainty=0.0))
+    """Sets of points of a record and of a model, detector by detector."""
     sets = []
-    hemisphere = int(table.quantity == "btdf")
-    v = direction(np.radians(pole_angle(table.theta_o)), np.radians(table.phi_o))
-    left, coarse = np.ones(len(table), bool), np.zeros(len(table), bool)
-    for record in records:
-        if hemisphere and not record.has_lower:
-            raise SettingError(
-                f"{table.name} holds btdf, but the record has no lower hemisphere; "
-                "measure it with hemispheres='both'"
-            )
-        channel = _channel(record, table, notes)
-        notes += unlike_incident_cone(record, table)
-        patch, held = record.subdivision.detectors(v)
-        in_patches = _stand_for_points(record.subdivision, table)
-        for k in range(len(record)):
-            incident = _incident(record, k)
-            here = left & held & _same(incident, (table.theta_i, table.phi_i))
-            left &= ~here
-            of_patches = partial(CountedPoints.of, record, k, hemisphere, channel)
-            variation = None
-            if in_patches and here.any():
-                inside = record.subdivision, patch[here]
-                variation, known = variation_within(*inside, of_patches)
-                coarse[here], here[here] = ~known, known
-            if not (n := int(here.sum())):
-                continue
-            columns: dict[str, Any] = {k: getattr(table, k)[here] for k in DIRECTIONS}
-            means = of_patches(patch[here])
-            sets.append(
-                PointPairs(
-                    columns | {"channel": np.full(n, record.channels[channel])},
-                    means,
-                    points[here],
-                    weight=means.solid,
-                    total_of=[tuple(np.round(incident, 3))] * n,
-                    variation=variation,
-                    sharing=sharing(record)[k],
-                )
-            )
-    beyond = left & _reach_below(records, table)
-    if beyond.any() and not beyond.all():
-        notes.append(
-            f"{beyond.sum()} of {len(table)} points, whose apertures reach below the "
-            "horizon, are left out"
-        )
-        left &= ~beyond
-    if left.any():
-        raise SettingError(_lacking(records, table, int(np.argmax(left))))
-    _tell_coarse(records[0], table, coarse, notes)
-    return sets, list(dict.fromkeys(notes))
+    for k in range(len(record)):
+        here = Detectors.of(record, k, record.n_hemispheres)
+        found = model.points(record[k]).with_stated(relative)
+        sets.append(here.paired(found, sharing(record)[k]))
+    return sets, fitted_to(model, record)
 
 
-def _stated(table: MeasuredTable) -> list[str]:
-    """Notes on the uncertainties that a table states, or does not."""
-    notes = []
-    if not (table.bsdf_std_err.any() or table.scale_uncertainty):
-        stated = "no uncertainty" if table.sigma is None else "an uncertainty of 0"
-        notes.append(f"{table.name} states {stated}: {NO_UNCERTAINTY}")
-    if table.sigma is not None and table.uncertainty:
-        notes.append(
-            f"the uncertainty of {table.uncertainty:.3g} of each value adds to that of "
-            "the column in quadrature"
-        )
-    return notes
+@dataclass(eq=False)
+class Detectors:
+    """Detectors of a record under one incident direction, in each channel."""
 
+    record: Record
+    index: int
+    hemisphere: Integers
+    patch: Integers
+    channel: Integers
 
-def _stand_for_points(patches: Any, table: MeasuredTable) -> bool:
-    """Whether means over patches stand for the points of a table.
+    @classmethod
+    def of(cls, record: Record, index: int, n_hemispheres: int) -> Detectors:
+        """Those of the upper hemisphere, or of both."""
+        shape = n_hemispheres, record.subdivision.n_detectors, len(record.channels)
+        return cls(record, index, *(a.ravel() for a in np.indices(shape)))
 
-    False for apertures, and if the table itself holds patch means, as exported files
-    do; ValueError if the apertures are not as wide as those of the table.
-    """
-    own, stated = patches.aperture_half_angle, table.aperture_half_angle
-    if own is None:
-        return table.header.get("collector") != str(patches)
-    if stated is not None and not np.isclose(stated, own, rtol=EDGE, atol=0):
-        raise SettingError(
-            f"the record's apertures must have the half-angle of {table.name}, "
-            f"{stated:g} degrees, got {own:g}"
-        )
-    return False
+    @property
+    def where(self) -> tuple[Integers, Integers, Integers]:
+        """Hemisphere, channel and patch of each."""
+        return self.hemisphere, self.channel, self.patch
 
-
-def _reach_below(records: Sequence[Record], table: MeasuredTable) -> Flags:
-    """Points around which the apertures of records cannot stand."""
-    half_angle = records[0].subdivision.aperture_half_angle
-    if half_angle is None:
-        return np.zeros(len(table), bool)
-    return ~np.asarray(is_above(pole_angle(table.theta_o), half_angle))
-
-
-def _tell_coarse(
-    record: Record, table: MeasuredTable, coarse: Flags, notes: list[str]
-) -> None:
-    """Note points that were left out; ValueError if these are all."""
-    n = int(coarse.sum())
-    if not n:
-        return
-    why = (
-        f"the patches of {abridged(str(record.subdivision), 40)} are too coarse for "
-        f"{n} of {len(table)} points, where lobes are steep or the horizon is near"
-    )
-    if n == len(table):
-        raise SettingError(f"{why}: {REMEDY}")
-    notes.append(f"{why}: these are left out")
-
-
-def _lacking(records: Sequence[Record], table: MeasuredTable, row: int) -> str:
-    """Sentence on what no record has of a row of the table."""
-    incident = (table.theta_i[row], table.phi_i[row])
-    own = [one for r in records for one in zip(r.theta_i, r.phi_i)]
-    if any(_same(one, incident) for one in own):
-        what, known = "aperture around theta_o, phi_o", "others"
-        of = (table.theta_o[row], table.phi_o[row])
-    else:
-        what, of = "incident direction", incident
-        known = "; ".join(
-            f"{theta:.6g}, {phi:.6g}"
-            for record in records[:4]
-            for theta, phi in zip(record.theta_i[:4], record.phi_i[:4])
-        )
-    return (
-        f"the record must have each {what} of {table.name}, but lacks "
-        f"{of[0]:g}, {of[1]:g} degrees (it has {known})"
-    )
-
-
-def _channel(record: Record, table: MeasuredTable, notes: list[str]) -> int:
-    """Index of the record's channel that a table's values belong to."""
-    names = list(record.channels)
-    if table.channel in names:
-        return names.index(table.channel)
-    if names == ["Y"] and table.channel is not None:
-        of = f"{table.channel} of the table"
-        notes.append(f"the record is monochrome: it stands for {of}")
-    if names == ["Y"] or (table.channel is None and len(names) == 1):
-        return 0
-    said = "no channel" if table.channel is None else f"channel {table.channel}"
-    raise SettingError(
-        f"the table's header must name a channel of the record "
-        f"({', '.join(names)}), but {table.name} names {said}"
-    )
+    def paired(self, other: Points, alike: int) -> PointPairs:
+        """Pairs with what was found there otherwise."""
+        theta_i, phi_i = incident_of(self.record, self.index)
+        theta, phi = (one.ravel() for one in self.record.subdivision.middles)
+        theta_o, n = np.degrees(theta)[self.patch], len(self.patch)
+        mine = CountedPoints.of(self.record, self.index, *self.where)
+        columns = {
+            "theta_i": np.full(n, theta_i),
+            "phi_i": np.full(n, phi_i),
+            "theta_o": np.where(self.hemisphere, 180 - theta_o, theta_o),
+            "phi_o": np.degrees(phi)[self.patch],
+            "channel": np.array(self.record.channels)[self.channel],
+        }
+        pairs = zip(self.hemisphere.tolist(), self.channel.tolist())
+        keys = [(self.index, *pair) for pair in pairs]
+        return PointPairs(columns, mine, other, mine.solid, keys, sharing=alike)
 
 
 def check_uncertainties(record: Record) -> None:
@@ -256,12 +121,12 @@ def check_uncertainties(record: Record) -> None:
     )
 
 
-def _incident(record: Record, k: int) -> tuple[float, float]:
+def incident_of(record: Record, k: int) -> tuple[float, float]:
     """Polar angle and azimuth of an incident direction of a stack, in degrees."""
     return record.theta_i[k], record.phi_i[k]
 
 
-def _same(a: Any, b: Any) -> Any:
+def same_direction(a: Any, b: Any) -> Any:
     """Whether two directions, in degrees, are equal to single precision."""
     first, second = (direction(*np.radians(pair)) for pair in (a, b))
     return np.linalg.norm(first - second, axis=-1) <= EDGE
@@ -292,12 +157,10 @@ def labels(record: Record, other: Record) -> tuple[str, str]:
     return (one, two) if one != two else ("record", "other")
 
 
-def pole_angle(theta_o: Floats) -> Floats:
-    """Angle from the pole of its own hemisphere, in degrees."""
-    return np.where(theta_o > 90, 180 - theta_o, theta_o)
-
-
 UNLIKE = "the conditions are not the same, and may change what is measured: "
+
+# What is said of a model beside the data by which it is known.
+FITTED = "fitted to these values, with which it agrees better than with others"
 
 # What is declared as a setting, or is known of the light. Estimators, samplers, rays
 # and Russian roulette change how well something is known, not what; wavelengths are
@@ -310,7 +173,7 @@ CONDITIONS = (
 
 def unlike_conditions(record: Record, other: Record) -> list[str]:
     """A note on the conditions in which two records differ; none if they do not."""
-    mine, theirs = _known(record), _known(other)
+    mine, theirs = conditions_of(record), conditions_of(other)
     cut = record.ledger.truncated or other.ledger.truncated
     unlike = [
         f"{name} {abridged(str(mine[name]), 60)} and {abridged(str(theirs[name]), 60)}"
@@ -325,29 +188,27 @@ def unlike_conditions(record: Record, other: Record) -> list[str]:
     return [UNLIKE + ", ".join(unlike)] if unlike else []
 
 
-def unlike_incident_cone(record: Record, table: MeasuredTable) -> list[str]:
-    """A note on light that came in another cone than a table says; or none."""
-    known, told = _known(record), table.emitter_half_angle
-    collimated = str(known["emitter"]).startswith("Directional")
-    # where the table is silent, a divergence was said with the comparison
-    other_cone = collimated and told and abs(known["divergence"] - told) > 1e-6
-    if known["incident"] != "none":
-        said = f"filled patches of incidence ({abridged(str(known['incident']), 40)})"
-    elif other_cone:
-        said = f"had a divergence of {known['divergence']:g} degrees"
+def fitted_to(model: Model, data: Record | MeasuredTable) -> list[str]:
+    """A note on values to which a model was fitted; none on others."""
+    own = model.record
+    if isinstance(own, MeasuredTable) and isinstance(data, MeasuredTable):
+        is_it = own.name == data.name
     else:
-        return []
-    light = f"the light of {table.name} came within {told:g} degrees"
-    return [f"{UNLIKE}{light}, that of the record {said}"]
+        is_it = own is data
+    return [f"{model.label} was {FITTED}"] * is_it
 
 
-def same_rays(records: Sequence[Record], other: Record | MeasuredTable) -> list[str]:
-    """Notes on records that have the seed, and so the rays, of what they agree with."""
-    if isinstance(other, MeasuredTable):
-        both, theirs = f"{other.name} and the record", other.rays
+Measured: TypeAlias = Record | MeasuredTable | Model
+
+
+def same_rays(first: Sequence[Measured], other: Measured) -> list[str]:
+    """Notes on what has the seed, and so the rays, of what it agrees with."""
+    if isinstance(other, Record):
+        both = "both records"
     else:
-        both, theirs = "both records", other.ray_keys
-    seeds = dict.fromkeys(shared_seeds(one.ray_keys, theirs) for one in records)
+        both = f"{other.label if isinstance(other, Model) else other.name} and the "
+        both += "record" if isinstance(first[0], Record) else "other"
+    seeds = dict.fromkeys(shared_seeds(_rays(one), _rays(other)) for one in first)
     return [
         f"{both} have the seed {seed}: their rays are not independent, so that they "
         "agree too well; measure one again with another seed"
@@ -355,7 +216,12 @@ def same_rays(records: Sequence[Record], other: Record | MeasuredTable) -> list[
     ]
 
 
-def _known(record: Record) -> Mapping[str, Any]:
+def _rays(one: Measured) -> Mapping[str, str]:
+    """Identifiers of its rays."""
+    return one.ray_keys if isinstance(one, Record) else one.rays
+
+
+def conditions_of(record: Record) -> Mapping[str, Any]:
     """Settings of a record; younger ones than it are as by default."""
     declared = declarations(MeasurementSettings)
     defaults = {

@@ -57,12 +57,8 @@ class CountedPoints(Points):
         hemisphere: Integers | int,
         channel: Integers | int,
         patch: Integers,
-        relative: float = 0.0,
     ) -> CountedPoints:
-        """Points at flat patch indices, of each its hemisphere and channel.
-
-        With a `relative` standard uncertainty that was stated of each value.
-        """
+        """Points at flat patch indices, of each its hemisphere and channel."""
         hemisphere, channel, patch = np.broadcast_arrays(hemisphere, channel, patch)
         one, tally = record[index], record.tallies[index]
         estimates = record.estimates[index]
@@ -74,7 +70,7 @@ class CountedPoints(Points):
         value = np.stack(pair)[where]
         known: dict[str, Any] = {
             "value": value,
-            "std_err": relative * np.abs(value),
+            "std_err": np.zeros_like(value),
             "chance": np.stack(errors)[where],
             "solid": solid,
         }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -47,6 +47,10 @@ class Points:
             object.__setattr__(self, "roots", np.zeros((0, n)))
         if self.dof is None:
             object.__setattr__(self, "dof", np.full(n, np.inf))
+
+    def with_stated(self, relative: float) -> Points:
+        """The same, each value with another relative standard uncertainty beside."""
+        return replace(self, std_err=np.hypot(self.std_err, relative * self.value))
 
     def __getitem__(self, rows: Any) -> Points:
         """Return the points of some rows."""

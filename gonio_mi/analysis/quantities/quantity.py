@@ -1,5 +1,7 @@
 """Quantities of a specimen, measured in the geometry of each, or of a record."""
 
+from __future__ import annotations
+
 import contextlib
 import inspect
 from collections.abc import Mapping, Sequence
@@ -27,7 +29,9 @@ from ...progress import counted
 from ...results.record import Record
 from ...specimen.loading import specimen_of
 from ...specimen.specimen_text import SpecimenLike
+from ..comparison.comparison import known
 from ..comparison.measure_like import far_source
+from ..points import Model
 from .definitions import DEFINITIONS, GROUPS, Definition, Range
 from .functionals import checked_weights, difference, jackknifed, ratio
 from .patch_limits import PatchLimits
@@ -58,8 +62,8 @@ class Quantity:
         Part of the interval on either side that the patches leave open in which the
         material itself, a file or a record, was measured; or the directions of a table.
     parts : mapping of str to float
-        The uncertainty by its source, of tables and fits: standard errors, and those
-        bounds that make `unresolved`.
+        The budget, by source: standard errors (``rays``; ``values`` and ``calibration``
+        of a table; ``parameters`` of a fit), and the bounds that make `unresolved`.
     notes : tuple of str
         What is not in the interval, and what stands for what.
     told_by : str
@@ -86,16 +90,17 @@ class Quantity:
         settings: Mapping[str, Any],
         estimate: Floats,
         hits: int,
-    ) -> "Quantity":
+    ) -> Quantity:
         """Quantity of a definition: value, standard error and limits."""
         value, std_err, low, high = estimate.tolist()
-        return cls(name, value, std_err, (low, high), hits, own, settings)
+        parts, interval = {"rays": std_err}, (low, high)
+        return cls(name, value, std_err, interval, hits, own, settings, parts=parts)
 
     def __str__(self) -> str:
         own, (low, high) = self.definition, self.interval
         unit = own.unit and f" {own.unit}"
         text = f"{self.value:.5g}{unit} +- {self.std_err:.2g}"
-        if self.parts and not self.std_err:
+        if "values" in self.parts and not self.std_err:
             text = f"{self.value:.5g}{unit}"
         text += f" (95 %: {low:.5g} to {high:.5g})"
         if not self.hits and np.isnan(self.std_err):
@@ -109,30 +114,30 @@ class Quantity:
     @property
     def _unresolved_by(self) -> str:
         """What leaves part of the interval open, in words."""
-        named = {name: part for name, part in self.parts.items() if name in BOUNDS}
-        if not named:
-            return "the material's patches"
-        parts = [n for n, part in named.items() if part > self.unresolved / 10]
-        return ", ".join("missing directions" if n == "missing" else n for n in parts)
+        bounds = {name: self.parts[name] for name in BOUNDS if name in self.parts}
+        parts = [n for n, part in bounds.items() if part > self.unresolved / 10]
+        return ", ".join(BOUNDS[name] for name in parts)
 
     def to_dict(self) -> dict[str, Any]:
         """Return all of it in JSON's types; None for what is not known."""
         words = ("title", "unit", "geometry", "source")
-        known = vars(self) | {one: getattr(self.definition, one) for one in words}
-        known |= {"interval": list(self.interval)}
-        del known["definition"]
-        return known if self.std_err == self.std_err else known | {"std_err": None}
+        found = vars(self) | {one: getattr(self.definition, one) for one in words}
+        parts = {one: known(part) for one, part in self.parts.items()}
+        std_err = known(self.std_err)
+        found |= {"interval": list(self.interval), "parts": parts, "std_err": std_err}
+        del found["definition"]
+        return found
 
 
 def quantity(
     name: str | Sequence[str],
-    specimen: SpecimenLike,
+    specimen: SpecimenLike | Record | MeasuredTable | Model,
     *,
     phi_i: float = 0.0,
     progress: bool = False,
     **settings: Any,
 ) -> Any:
-    """Measure what an instrument would state of a specimen: gloss, haze, R_A and so on.
+    """Say what an instrument would state of a specimen: gloss, haze, R_A and so on.
 
     Parameters
     ----------
@@ -140,10 +145,11 @@ def quantity(
         ``"gloss60"``, with parameters ``"R_A:observation=0.33,entrance=5"``, or a name
         of several: ``"gloss"``. Those of one geometry of light share their rays.
         :data:`gonio_mi.analysis.quantities.DEFINITIONS` has all of them.
-    specimen : dict, mi.BSDF, mi.Scene, str, path or MeasuredTable
+    specimen : dict, mi.BSDF, mi.Scene, str, path, MeasuredTable, Record or Fit
         See :func:`gonio_mi.measure`. The values of an instrument's own table
         (:func:`gonio_mi.read_measured`) are interpolated within the receptors; nothing
-        is measured.
+        is measured. A record and a fit tell it by their own
+        :meth:`~gonio_mi.Record.quantity` and :meth:`~gonio_mi.Fit.quantity`.
     phi_i : float
         Azimuth of the plane of incidence in degrees: the rotation of the specimen. Of a
         table with a single one it may be left out.
@@ -169,12 +175,13 @@ def quantity(
         opaque specimen, a table that does not cover a quantity's directions, and as
         :func:`gonio_mi.measure`.
     """
+    if isinstance(specimen, Model):
+        return specimen.quantity(name, phi_i=phi_i, progress=progress, **settings)
     if isinstance(specimen, Record):
-        raise SettingTypeError(
-            "specimen must be a specimen or a table, got a record: take its own "
-            "quantity(name), or the table that export writes of it (.csv)"
-        )
-    if isinstance(specimen, MeasuredTable):
+        for key in settings:
+            raise SettingTypeError(f"{key} applies to a specimen, got a record")
+        found = tuple(record_quantity(specimen, one) for one in _names(name))
+    elif isinstance(specimen, MeasuredTable):
         found = of_table(name, specimen, phi_i, settings)
     else:
         found, _ = quantities(name, specimen, phi_i, progress, settings)
@@ -232,7 +239,10 @@ def quantities(
         low = min(estimate[2], max(estimate[2] - unresolved, 0.0))
         estimate[2:] = low, estimate[3] + unresolved
         each = Quantity.of(one, own, records[id(own)].settings, estimate, hits)
-        found.append(replace(each, unresolved=unresolved))
+        if unresolved:
+            budget = {**each.parts, "patches": unresolved}
+            each = replace(each, unresolved=unresolved, parts=budget)
+        found.append(each)
     if not found:
         raise KeyboardInterrupt
     return tuple(found), stopped

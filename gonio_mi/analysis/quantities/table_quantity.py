@@ -81,11 +81,17 @@ class Estimate(NamedTuple):
     @property
     def unresolved(self) -> float:
         """Sum of the bounds: what is no matter of chance."""
-        return sum(self.parts[name] for name in BOUNDS)
+        return sum(self.parts.get(name, 0.0) for name in BOUNDS)
 
 
-# Parts that are bounds.
-BOUNDS = ("interpolation", "source", "aperture", "missing")
+# Parts that are bounds, and how they read.
+BOUNDS = {
+    "interpolation": "interpolation",
+    "source": "source",
+    "aperture": "aperture",
+    "missing": "missing directions",
+    "patches": "the material's patches",
+}
 
 
 def table_estimate(own: Definition, table: MeasuredTable, phi_i: float) -> Estimate:
@@ -140,7 +146,7 @@ def table_estimate(own: Definition, table: MeasuredTable, phi_i: float) -> Estim
     _check_resolved(own, table, found, parts)
     std_err = float(np.hypot(parts["values"], parts["calibration"]))
     t = special.stdtrit(min(points.dof_of(each), 1e9), (1 + LEVEL) / 2)
-    half = t * std_err + sum(parts[name] for name in BOUNDS)
+    half = t * std_err + sum(part for name, part in parts.items() if name in BOUNDS)
     # no flux is negative
     low = found - half if own.curve or found < 0 else max(found - half, 0.0)
     n_values, notes = int(np.count_nonzero(each)), _notes(own, table, lacking)
@@ -350,7 +356,7 @@ def _check_resolved(
     own: Definition, table: MeasuredTable, found: float, parts: dict[str, float]
 ) -> None:
     """Raise ValueError for a quantity of which a table leaves too much open."""
-    bounds = {name: parts[name] for name in BOUNDS if parts[name]}
+    bounds = {name: parts[name] for name in BOUNDS if parts.get(name)}
     if sum(bounds.values()) > MAX_UNKNOWN * abs(found):
         listed = ", ".join(f"{name} {bound:.3g}" for name, bound in bounds.items())
         raise SettingError(

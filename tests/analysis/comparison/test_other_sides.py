@@ -1,0 +1,231 @@
+"""Comparisons of tables with each other, and of fits with what they were not fitted to.
+
+And one question for every source: quantities of specimens, records, tables and fits.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from budget import agree, disagree, of_comparison, often_enough
+
+import gonio_mi as gonio
+from gonio_mi.analysis.comparison import uncertainty_budget
+from gonio_mi.cli import main
+from gonio_mi.files.measured_table import MeasuredTable
+from gonio_mi.single_precision import FEW_ROUNDINGS
+
+# isort: split
+import mitsuba as mi
+
+METAL = {"type": "roughconductor", "alpha": 0.2, "material": "none"}
+FREE = ["alpha", "specular_reflectance"]
+BEAM = {"collector": "projected:8x16", "sampler": "independent"}
+
+
+@pytest.fixture(autouse=True)
+def grey():
+    """Tables without a channel are grey."""
+    mi.set_variant("llvm_ad_mono")
+
+
+def table(rng=None, scale=0.0, relative=0.02, shift=0.0):
+    """A grid of cosines at 30 degrees, with independent errors and a common one."""
+    theta, phi = np.meshgrid(np.arange(4, 80, 8.0), np.arange(0, 360, 45.0))
+    theta, phi = theta.ravel(), phi.ravel()
+    value = 0.3 * np.cos(np.radians(theta)) + shift
+    if rng is not None:
+        common = 1 + scale * rng.normal()
+        value = common * value * (1 + relative * rng.normal(size=theta.size))
+    columns = np.full(theta.size, 30.0), np.zeros(theta.size), theta, phi
+    stated = {"uncertainty": relative, "scale_uncertainty": scale}
+    return MeasuredTable(*columns, value, quantity="brdf", **stated)
+
+
+def fitted(seed=3, rays=20_000):
+    """A fit of metal to rays from 60 degrees."""
+    record = gonio.measure(METAL, 60, rays=rays, seed=seed, **BEAM)
+    return gonio.fit(record, "roughconductor:material=none", FREE)
+
+
+# -------------------------------------------------------------------------- two tables
+
+
+@pytest.mark.parametrize("scale", [0.0, 0.03])
+def test_two_tables_of_the_same_values_agree_as_often_as_promised(scale):
+    """200 pairs with errors of their own, at 5 %; twin: errors stated a third less."""
+    right, wrong = [], []
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        pair = table(rng, scale), table(rng, scale)
+        right.append(gonio.compare(*pair, alpha=0.05).passed)
+        surer = [replace(one, uncertainty=0.02 / 1.5) for one in pair]
+        wrong.append(gonio.compare(*surer, alpha=0.05).passed)
+    agree(often_enough(right))
+    disagree(often_enough(wrong))
+
+
+def test_a_difference_of_two_tables_is_found_where_it_is():
+    rng = np.random.default_rng(1)
+    one, other = table(rng), table(rng)
+    agree(of_comparison(gonio.compare(one, other)))
+    value = other.value.copy()
+    value[17] *= 1.5
+    found = gonio.compare(one, replace(other, value=value))
+    disagree(of_comparison(found))
+    assert found.worst[0]["theta_o"] == other.theta_o[17]
+    assert found.worst[0]["other"] == value[17]
+
+
+def test_directions_that_one_table_lacks_are_left_out():
+    rng = np.random.default_rng(2)
+    one, other = table(rng), table(rng)
+    names = ("theta_i", "phi_i", "theta_o", "phi_o", "value")
+    part = replace(one, **{name: getattr(one, name)[10:] for name in names})
+    found = gonio.compare(part, other)
+    assert len(found.z) == len(part)
+    assert any(note.startswith(f"{len(part)} of the 80") for note in found.notes)
+    np.testing.assert_array_equal(found.value, part.value)
+    np.testing.assert_array_equal(found.other, other.value[10:])
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"theta_i": np.full(80, 31.0)}, "has none of the table within 0.01 degrees"),
+        ({"quantity": "btdf", "theta_o": np.full(80, 150.0)}, "same quantity"),
+        ({"channel": "550nm"}, "same channel"),
+    ],
+)
+def test_tables_that_cannot_be_compared(changes, words):
+    with pytest.raises(ValueError, match=words):
+        gonio.compare(replace(table(), **changes), table())
+
+
+def test_two_tables_need_an_uncertainty():
+    silent = table(relative=0.0)
+    with pytest.raises(ValueError, match="neither the table nor the table states one"):
+        gonio.compare(silent, silent)
+    found = gonio.compare(silent, silent, uncertainty=0.01)
+    assert found.passed
+    assert found.statistics["chi2"] == 0
+
+
+def test_two_tables_by_command(tmp_path, capsys):
+    rng = np.random.default_rng(3)
+    paths = [str(tmp_path / name) for name in ("one.csv", "other.csv")]
+    for path in paths:
+        table(rng, 0.01).save(path)
+    budget = str(tmp_path / "budget.csv")
+    assert main(["compare", *paths, "--budget", budget]) == 0
+    said = capsys.readouterr().out
+    assert "verdict     agree" in said
+    assert "calibration" in said
+    assert main(["compare", paths[0], "diffuse"]) == 1
+    assert "a table comes second" in capsys.readouterr().err
+    assert main(["compare", *paths, "--rays", "100"]) == 1
+    assert "--rays applies to a specimen" in capsys.readouterr().err
+
+
+# --------------------------------------------------------------------------------- fits
+
+
+def test_a_fit_agrees_with_other_light_from_other_directions():
+    """Twin: the record of a metal that is a tenth rougher."""
+    fit = fitted()
+    for alpha, passes in ((0.2, agree), (0.22, disagree)):
+        bsdf = METAL | {"alpha": alpha}
+        record = gonio.measure(bsdf, [20, 45], rays=20_000, seed=9, **BEAM)
+        found = gonio.compare(record, fit)
+        passes(of_comparison(found))
+        np.testing.assert_array_equal(gonio.compare(fit, record).z, found.z)
+        assert found.labels[1] == "fit of roughconductor"
+
+
+@pytest.mark.slow
+def test_the_covariance_of_a_fit_is_in_the_comparison():
+    """60 fits of few rays beside a record of many; twin: their parameters exact."""
+    record = gonio.measure(METAL, 45, rays=3_000_000, seed=1, **BEAM)
+    right, wrong = [], []
+    for seed in range(60):
+        fit = fitted(seed + 10, rays=4000)
+        right.append(gonio.compare(record, fit, alpha=0.05).passed)
+        exact = replace(fit, covariance=np.zeros_like(fit.covariance))
+        wrong.append(gonio.compare(record, exact, alpha=0.05).passed)
+    agree(often_enough(right))
+    disagree(often_enough(wrong))
+
+
+def test_points_of_a_fit_are_integrals_of_its_model():
+    """To the errors of integrals; its roots, of one parameter, are derivatives."""
+    white = {"type": "diffuse", "reflectance": 0.5}
+    record = gonio.measure(white, 30, rays=10_000, estimator="analog", **BEAM)
+    fit = gonio.fit(record, "diffuse")
+    relative = fit.std_errs[0] / fit.values[0]
+    for like in (record, table()):
+        points = fit.points(like)
+        np.testing.assert_allclose(points.value, fit.values[0] / np.pi, rtol=2e-4)
+        # single precision of both ends of a difference
+        rtol = 2 * FEW_ROUNDINGS / relative
+        np.testing.assert_allclose(points.roots[0], relative * points.value, rtol=rtol)
+
+
+def test_a_fit_and_its_own_data_are_no_strangers():
+    fit = fitted(rays=4000)
+    (note,) = [n for n in gonio.compare(fit.record, fit).notes if "fitted" in n]
+    assert note.startswith("roughconductor was fitted to these values")
+    again = gonio.measure(METAL, 45, rays=4000, seed=3, **BEAM)
+    notes = gonio.compare(again, fit).notes
+    assert any("roughconductor and the record have the seed 3" in n for n in notes)
+
+
+def test_a_fit_beside_a_table():
+    """In both orders; two fits have no directions."""
+    fit = fitted()
+    like = gonio.measure(METAL, 30, rays=200_000, seed=4, **BEAM)
+    measured = table()
+    value = fit.points(measured).value
+    measured = replace(measured, value=value * (1 + 0.02 * np.sin(np.arange(80.0))))
+    one, other = gonio.compare(fit, measured), gonio.compare(measured, fit)
+    assert one.passed
+    assert other.passed
+    np.testing.assert_allclose(one.z, -other.z, atol=1e-3)
+    assert not gonio.compare(replace(measured, value=1.3 * value), fit).passed
+    budget = uncertainty_budget(one)
+    np.testing.assert_array_equal(budget.rays, one.std_err)
+    with pytest.raises(TypeError, match="a fit is compared with a record or a table"):
+        gonio.compare(fit, fit)
+    with pytest.raises(TypeError, match="must be the Record"):
+        gonio.compare(measured, like)
+
+
+# --------------------------------------------------------------- one question for all
+
+
+def test_every_source_has_quantities():
+    """0.5 of a Lambertian: its specimen, a record, a table and a fit."""
+    white = {"type": "diffuse", "reflectance": 0.5}
+    record = gonio.measure(white, 0, rays=20_000, seed=2, **BEAM)
+    fit = gonio.fit(record, "diffuse")
+    theta, phi = np.meshgrid(np.arange(0, 90, 3.0), np.arange(0, 360, 30.0))
+    theta, phi = theta.ravel(), phi.ravel()
+    columns = np.zeros(theta.size), np.zeros(theta.size), theta, phi
+    value = np.full(theta.size, 0.5 / np.pi)
+    grid = MeasuredTable(*columns, value, quantity="brdf", scale_uncertainty=0.01)
+    sources = {"rays": (white, record), "calibration": (grid,), "parameters": (fit,)}
+    for part, of in sources.items():
+        for source in of:
+            found = gonio.quantity("dhr", source)
+            low, high = found.interval
+            assert low <= 0.5 <= high or abs(found.value - 0.5) < 5 * found.std_err
+            assert part in found.parts
+            assert set(found.to_dict()["parts"]) == set(found.parts)
+
+
+def test_a_record_tells_its_own_quantities():
+    record = gonio.measure(METAL, 0, rays=2000, **BEAM)
+    assert gonio.quantity("dhr", record).value == record.quantity("dhr").value
+    with pytest.raises(TypeError, match="rays applies to a specimen, got a record"):
+        gonio.quantity("dhr", record, rays=10)
+    with pytest.raises(ValueError, match="needs light from"):
+        gonio.quantity("gloss60", record)
