@@ -227,7 +227,7 @@ def test_half_a_table_and_one_plane(keep, part, hint):
 
 
 def test_a_record_is_no_table():
-    with pytest.raises(TypeError, match="or the table that export writes of it"):
+    with pytest.raises(ValueError, match="the table that export writes of it"):
         gonio.quantity("gloss60", synthetic.record())
 
 

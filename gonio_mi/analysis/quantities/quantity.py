@@ -180,7 +180,13 @@ def quantity(
     if isinstance(specimen, Record):
         for key in settings:
             raise SettingTypeError(f"{key} applies to a specimen, got a record")
-        found = tuple(record_quantity(specimen, one) for one in _names(name))
+        try:
+            found = tuple(record_quantity(specimen, one) for one in _names(name))
+        except SettingError as error:
+            raise SettingError(
+                f"{error}: a record has the quantities of its own light and receptors; "
+                "the table that export writes of it (.csv) is interpolated"
+            ) from None
     elif isinstance(specimen, MeasuredTable):
         found = of_table(name, specimen, phi_i, settings)
     else:

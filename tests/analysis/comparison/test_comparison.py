@@ -538,8 +538,8 @@ def test_what_a_table_must_share_with_a_record():
             for alpha in (0, 1, -1, float("nan"), "often")
         ),
         ([], gloss(), {}, "record must be a Record"),
-        (gloss(), "measured.csv", {}, "other must be a Record or a MeasuredTable"),
-        ([gloss()] * 2, gloss(), {}, "record must be one Record if other is one"),
+        (gloss(), "measured.csv", {}, "other must be a Record, a MeasuredTable"),
+        ([gloss()] * 2, gloss(), {}, "record must be one Record, unless"),
         (gloss(), gloss(seed=2), {"uncertainty": -0.1}, "uncertainty must be a finite"),
     ],
 )
