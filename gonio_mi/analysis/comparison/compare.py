@@ -94,7 +94,8 @@ def compare(
     record : Record, sequence of Record, MeasuredTable, Fit, dict, str or path
         Several, if `other` is a table: what `measure_like` returns. A specimen (a
         dictionary, an object of Mitsuba, a scene file) is measured as `other` was. Two
-        tables are compared where they have the same directions.
+        tables are compared where they have the same directions. Of a record or a
+        specimen beside a table or a fit, the former comes first in the result.
     other : Record, MeasuredTable, Fit, dict, str or path
         A specimen is measured as the record was. A fit has the values of its model at
         the detectors of a record, or at the points of a table, with the covariance of
@@ -184,27 +185,26 @@ def _with_specimen_measured(
     record: Any, other: Any, settings: dict[str, Any]
 ) -> tuple[Any, Any]:
     """The two sides; a specimen is measured as the other side was."""
+    sides = Record, MeasuredTable, Model
+    if isinstance(other, Record) and isinstance(record, (MeasuredTable, Model)):
+        record, other = other, record
+    if is_specimen(other) and isinstance(record, MeasuredTable):
+        record, other = other, record
     if is_specimen(record) and isinstance(other, (Record, MeasuredTable)):
         record = measure_like(record, other, **settings)
     elif is_specimen(other) and isinstance(record, Record):
         other = measure_like(other, record, **settings)[0]
     elif settings:
         raise SettingTypeError(f"{min(settings)} applies to a specimen, got none")
-    if not isinstance(other, (Record, MeasuredTable, Model)):
+    if isinstance(other, Model) and not isinstance(record, (*sides[:2], Sequence)):
+        raise SettingTypeError(
+            f"a fit is compared with a record or a table, got {shown(record)}"
+        )
+    if not isinstance(other, sides):
         raise SettingTypeError(
             f"other must be a Record, a MeasuredTable or a Fit, got {shown(other)}"
         )
-    if isinstance(record, Model) and isinstance(other, Record):
-        record, other = other, record
     if isinstance(record, (MeasuredTable, Model)):
-        if isinstance(other, Record):
-            raise SettingTypeError(
-                f"record must be the Record, and the table other, got {shown(record)}"
-            )
-        if isinstance(record, Model) and isinstance(other, Model):
-            raise SettingTypeError(
-                "a fit is compared with a record or a table, got two"
-            )
         return record, other
     records = checked_records(record)
     if not isinstance(other, MeasuredTable) and len(records) != 1:
