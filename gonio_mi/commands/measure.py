@@ -205,7 +205,7 @@ def _check_kind(path: str) -> None:
     makers = {
         "plot": FIGURE_ENDINGS + ANIMATION_ENDINGS,
         "report": (".html",),
-        "export": ask("exchange", "ENDINGS", ()),
+        "export": ask("exchange", "endings_of", lambda *_: ())("writes", "writes"),
     }
     for command, endings in makers.items():
         if ending in endings:

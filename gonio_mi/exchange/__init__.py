@@ -6,7 +6,6 @@ COMMANDS = {
 }
 PLUGINS: tuple[str, ...] = ()
 OFFERS = {
-    "ENDINGS": "exports.exporting",
     "VISIBLE_NM": "exports.daylight",
     "seen": "exports.daylight",
     "export": "exports.exporting",

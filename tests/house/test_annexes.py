@@ -45,9 +45,7 @@ if not is_missing("exchange"):
 """
 
 # Modules that are imported where they are used, since they need another annex.
-LATE = {
-    f"lacks {name}_export materials" for name in ("measured", "radiance", "scatter")
-}
+LATE = {f"lacks {name}_export materials" for name in ("measured", "radiance")}
 
 FUTURE = "from __future__ import annotations\n"
 

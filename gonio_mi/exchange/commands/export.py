@@ -35,10 +35,9 @@ def add_options(parser: ArgumentParser) -> None:
     """Add the options of the command to its parser."""
     text = "An .exr or .npz file; two for .xml, of the front and of the back."
     add_text(parser, "record", "RECORD", text, nargs="+")
-    more = ", ".join(e for e in endings_of("write") if e != ".bsdf")
-    text = "Files that end in .csv, .xml, .bsdf, .nc, .h5, .zemax.bsdf, .binary or "
+    text = f"Files that end in {', '.join(endings_of('writes', 'writes'))}."
     how: Any = {"required": True, "nargs": "+", "metavar": "OUT"}
-    parser.add_argument("-o", "--output", help=f"{text}{more}.", **how)
+    parser.add_argument("-o", "--output", help=text, **how)
     text = "Basis of .xml: klems, klems-half, klems-quarter, or a tensor tree, "
     text += "tensor3 for isotropic or tensor4 for any materials. Default: klems."
     add_text(parser, "--basis", "BASIS", text, choices=BASES)
@@ -50,11 +49,12 @@ def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
     records = [record_of(path) for path in options.record]
     # which need a renderer
-    from ..exports.exporting import ENDINGS, export
+    from ..exports.exporting import export
     from ..exports.loss import in_words, written_files
 
+    endings = endings_of("writes", "writes")
     for path in options.output:
-        files.check_output(path, ENDINGS)
+        files.check_output(path, endings)
     endings = {Path(path).suffix.lower() for path in options.output}
     if options.basis and ".xml" not in endings:
         got = ", ".join(options.output)

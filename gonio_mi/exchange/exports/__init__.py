@@ -2,7 +2,7 @@
 
 from ..formats.radiance import Product
 from .bsdf_file import bsdf
-from .exporting import ENDINGS, export
+from .exporting import export
 from .loss import Loss
 
-__all__ = ["ENDINGS", "Loss", "Product", "bsdf", "export"]
+__all__ = ["Loss", "Product", "bsdf", "export"]

@@ -9,28 +9,25 @@ import numpy as np
 
 from ...annexes import check_there
 from ...array_types import Floats
-from ...errors import SettingError, checked_choice, warn
+from ...errors import SettingError, abridged, checked_choice, warn
 from ...files import check_output, netcdf, replacing
 from ...files.measured_table import MeasuredTable
 from ...files.writing import takes_a_stream
-from ...results.record import Record, both_sides, checked_records, fractions_of
+from ...results.record import (
+    Record,
+    both_sides,
+    checked_records,
+    fractions_of,
+    wavelengths_nm,
+)
 from ...results.summary import OVER_THE_EDGE, summarize
 from ...results.tally import ELEMENT_NAMES
+from ..formats import merl
+from ..formats.format import WAVELENGTHS, Format
 from ..formats.radiance import BASES, Product
-from ..formats.reading import endings_of, read_measured
-from .loss import ZEMAX, Loss, losses, part_names
-
-ENDINGS = (
-    *(".csv", ".xml", ".bsdf", ".nc", ".h5"),
-    *(ending for ending in endings_of("write") if ending != ".bsdf"),
-    ".binary",
-)
-
-# Endings of files that hold Mueller matrices.
-POLARISED = (".csv", ".nc", ".h5")
-
-# Endings of files that have no place for transmitted light.
-REFLECTION_ONLY = (".bsdf", *endings_of("reflection_only"))
+from ..formats.reading import endings_of, read_measured, written_as
+from ..formats.scatter import Scatter, fractions_of_scatter, scatter_of
+from .loss import Loss, losses, part_names
 
 # Rays whose flux no patch receives, or by an edge that may be none, and the fraction of
 # all rays from which a warning tells of them.
@@ -104,54 +101,73 @@ def export(
     OSError
         If the file cannot be written.
     """
-    check_output(path, ENDINGS)
+    check_output(path, endings_of("writes", "writes"))
     if takes_a_stream(path):
         raise SettingError(
             f"{path} must be a file, since it is read back, got a pipe or a device"
         )
     checked_choice("basis", basis, BASES)
-    ending = Path(path).suffix.lower()
     records = checked_records(record)
+    known, ending = written_as(path)
     if ending == ".xml":
-        records = both_sides(records)
-        solar = both_sides(solar)
-    if ending not in POLARISED and any(one.polarised for one in records):
-        raise SettingError(
-            f"a file {ending} holds no Mueller matrices, which {', '.join(POLARISED)} "
-            f"do: measure in an unpolarised variant for it, got "
-            f"{records[0].provenance.variant}"
-        )
-    for one in records:
-        _warn_of_lost_light(one)
-    if ending not in _FORMATS:
-        check_there("materials", f"a file {ending}")
-    if ending == ".xml":
-        from .radiance_export import write_radiance
-
-        return write_radiance(records, path, basis, product, solar, progress)
-    if len(records) > 1 or product is not None or solar:
+        records, solar = both_sides(records), both_sides(solar)
+    elif len(records) > 1 or product is not None or solar:
         raise SettingError(
             "several records, a product and solar light go to a file .xml, got "
             f"{Path(path).name}"
         )
-    if ending in _FORMATS:
-        return _FORMATS[ending](records[0], path)
+    for one in (*records, *solar):
+        _check_held(one, known, ending)
+    for one in records:
+        _warn_of_lost_light(one)
+    if known.write is not None:
+        write = _write_parts if known.in_parts else _write_grids
+        return write(known, records[0], path)
+    if ending in _PLAIN:
+        return _PLAIN[ending](records[0], path)
+    check_there("materials", f"a file {ending}")
     from .measured_export import write_measured
-    from .scatter_export import write_grids, write_merl, write_zemax
+    from .radiance_export import write_radiance
 
-    if Path(path).name.lower().endswith(ZEMAX):
-        return write_zemax(records[0], path)
-    dht = records[0].dht
-    if ending in REFLECTION_ONLY and dht is not None and dht.max() > 0:
-        warn(
-            f"a file {ending} holds reflection only: up to {dht.max():.2%} of the flux "
-            "was transmitted, and is not in it"
-        )
+    if ending == ".xml":
+        return write_radiance(records, path, basis, product, solar, progress)
     if ending == ".bsdf":
         return write_measured(records[0], path, progress)
-    if ending == ".binary":
-        return write_merl(records[0], path)
-    return write_grids(records[0], path)
+    return _write_merl(records[0], path)
+
+
+def _check_held(record: Record, known: Format, ending: str) -> None:
+    """Raise ValueError for a record that a format cannot hold; warn if for a part."""
+    if record.polarised and not known.polarised:
+        held = ", ".join(endings_of("polarised", "writes"))
+        raise SettingError(
+            f"a file {ending} holds no Mueller matrices, which {held} do: measure in "
+            f"an unpolarised variant for it, got {record.provenance.variant}"
+        )
+    is_spectral = wavelengths_nm(record.channels) is not None
+    kind = WAVELENGTHS if is_spectral else ", ".join(record.channels)
+    if len(record.channels) > 1 and kind not in (known.channels or (kind,)):
+        *first, last = "one channel", *known.channels
+        raise SettingError(
+            f"a {ending} file takes records of {', of '.join(first)} or of {last}, got "
+            f"{abridged(', '.join(record.channels), 80)}"
+        )
+    n = len(set(record.phi_i.tolist()))
+    if known.isotropic and n > 1:
+        raise SettingError(
+            f"{ending} holds one azimuth of incidence, as of isotropic materials, got "
+            f"{n}"
+        )
+    if len(record) < known.n_incidences:
+        raise SettingError(
+            f"a {ending} file needs at least {known.n_incidences} angles of incidence, "
+            f"got {len(record)}"
+        )
+    if known.reflection_only and record.dht is not None and record.dht.max() > 0:
+        warn(
+            f"a file {ending} holds reflection only: up to {record.dht.max():.2%} of "
+            "the flux was transmitted, and is not in it"
+        )
 
 
 def _warn_of_lost_light(record: Record) -> None:
@@ -248,8 +264,84 @@ def _write_netcdf(
     return losses(record, values * projected)
 
 
-_FORMATS: dict[str, Callable[[Record, str | PathLike[str]], list[Loss]]] = {
+_PLAIN: dict[str, Callable[[Record, str | PathLike[str]], list[Loss]]] = {
     ".csv": _csv,
     ".nc": _write_netcdf,
     ".h5": partial(_write_netcdf, engine="h5netcdf"),
 }
+
+
+# --------------------------------------------------------------- scatter data on grids
+
+
+def _write_parts(
+    known: Format, record: Record, path: str | PathLike[str]
+) -> list[Loss]:
+    """A file for each quantity and channel."""
+    scatter = scatter_of(record, known.specular)
+    written = np.zeros_like(fractions_of(record))
+    for (hemisphere, number), name in part_names(record, path).items():
+        blocks = [block.channel(number) for block in scatter.of(hemisphere)]
+        comment = f"gonio-mi: {_specimen(record)}, {record.channels[number]}"
+        part = _written(known, Scatter(blocks, ("Y",)), record, name, comment)
+        written[:, hemisphere, ..., number] = part[:, hemisphere, ..., 0]
+    return losses(record, written)
+
+
+def _write_grids(
+    known: Format, record: Record, path: str | PathLike[str]
+) -> list[Loss]:
+    """One file of all."""
+    scatter, nm = scatter_of(record, known.specular), wavelengths_nm(record.channels)
+    fractions = _written(known, scatter, record, path, _specimen(record))
+    fractions = fractions[:, : 1 if known.reflection_only else record.n_hemispheres]
+    # the file has ascending wavelengths, or one channel for all
+    order = [0] if nm is None else np.argsort(np.argsort(nm)).tolist()
+    shape = (*fractions.shape[:-1], len(order))
+    return losses(record, np.broadcast_to(fractions, shape)[..., order])
+
+
+def _written(
+    known: Format,
+    scatter: Scatter,
+    record: Record,
+    path: str | PathLike[str],
+    comment: str,
+) -> Floats:
+    """Flux fractions of a record in the file that a format writes of its grids."""
+    write, read = known.write, known.scatter
+    if write is None or read is None:
+        raise TypeError(f"{known.program} has no grids")
+    with replacing(path) as stream:
+        write(scatter, stream, comment)
+    with open(path, "rb") as stream:
+        return fractions_of_scatter(read(stream), record)
+
+
+def _specimen(record: Record) -> str:
+    """Name of the specimen, short."""
+    return abridged(record.provenance.name, 200)
+
+
+def _write_merl(record: Record, path: str | PathLike[str]) -> list[Loss]:
+    """The reflection of an isotropic record in the format of the MERL database.
+
+    Between its angles of incidence it is interpolated as the BSDF `goniometric` does.
+    """
+    from ...materials.resampling import Material
+
+    material = Material(record)
+    turn = np.radians(record.phi_i[0])
+    cosine, sine = np.cos(turn), np.sin(turn)
+    rotation = np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])
+
+    def value(theta_i: Floats, wo: Floats) -> Floats:
+        values = material.values(theta_i, record.phi_i[0], wo @ rotation)
+        return np.broadcast_to(values, (len(values), 3))
+
+    with replacing(path) as stream:
+        merl.write(value, stream)
+    with open(path, "rb") as stream:
+        again = merl.read(stream, tuple(record.theta_i.tolist()))
+    fractions = fractions_of_scatter(again, record)
+    return losses(record, fractions[..., : len(record.channels)])

@@ -9,14 +9,9 @@ from typing import Any
 import numpy as np
 
 from ...array_types import Floats
-from ...errors import SettingError, abridged
-from ...results.record import Record, fractions_of, wavelengths_nm
+from ...results.record import Record, fractions_of
 from ...single_precision import ROUNDING
-
-ZEMAX = ".zemax.bsdf"
-
-# Of which each file holds one quantity and channel.
-IN_PARTS = (".csv", ZEMAX)
+from ..formats.reading import written_as
 
 WORDS = {"dhr": "reflected", "dht": "transmitted"}
 
@@ -149,20 +144,6 @@ def _place(one: Loss) -> str:
     return f"theta_i {one.theta_i:.3g}, phi_i {one.phi_i:.3g}"
 
 
-def check_channels(
-    record: Record, file: str, *, coloured: bool = True, spectral: bool = True
-) -> None:
-    """Raise ValueError for several channels that are no R, G, B and no wavelengths."""
-    channels = record.channels
-    held = len(channels) == 1 or (coloured and channels == ("R", "G", "B"))
-    if held or (spectral and wavelengths_nm(channels) is not None):
-        return
-    kinds = ["one channel", *["R, G, B"] * coloured, *["wavelengths"] * spectral]
-    known = f"{', of '.join(kinds[:-1])} or of {kinds[-1]}"
-    got = abridged(", ".join(channels), 80)
-    raise SettingError(f"{file} takes records of {known}, got {got}")
-
-
 def part_names(
     record: Record, path: str | PathLike[str]
 ) -> dict[tuple[int, int], Path]:
@@ -171,9 +152,8 @@ def part_names(
     Where there are several, what each holds is put before the ending of the path:
     ``run.brdf450nm.csv``.
     """
-    path = Path(path)
-    (ending,) = (one for one in IN_PARTS if path.name.lower().endswith(one))
-    stem, ending = path.name[: -len(ending)], path.name[-len(ending) :]
+    path, n = Path(path), len(written_as(path)[1])
+    stem, ending = path.name[:-n], path.name[-n:]
     channels = record.channels if len(record.channels) > 1 else ("",)
     parts = {
         (hemisphere, number): f"{stem}.{quantity}{channel}{ending}"
@@ -187,6 +167,6 @@ def part_names(
 
 def written_files(record: Record, path: str | PathLike[str]) -> list[Path]:
     """All files that an export to a path writes."""
-    if str(path).lower().endswith(IN_PARTS):
+    if written_as(path)[0].in_parts:
         return list(part_names(record, path).values())
     return [Path(path)]

@@ -21,7 +21,7 @@ from ...results.record import Record, wavelengths_nm
 from ...specimen.loading import loaded
 from ...specimen.wavelengths import passes, wavelength_lanes
 from ...transport.surface_events import flux_context
-from .loss import Loss, check_channels, losses
+from .loss import Loss, losses
 
 # Vertices per side of the grid of half vectors.
 GRID = 128
@@ -138,7 +138,6 @@ def _checked_wavelengths(record: Record) -> Floats | None:
             f"{abridged(', '.join(record.channels), 80)}, such as llvm_ad_{wanted}, "
             f"got {mi.variant()}"
         )
-    check_channels(record, "a .bsdf file")
     return wavelengths
 
 

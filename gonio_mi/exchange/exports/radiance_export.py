@@ -20,7 +20,7 @@ from ..formats import radiance, radiance_material
 from ..formats.radiance import OTHER, RANKS, Product, RadianceBSDF
 from ..formats.tensor_tree import TensorTree, isotropic_incidence
 from .daylight import VISIBLE, lit_by, of_daylight
-from .loss import Loss, check_channels, losses
+from .loss import Loss, losses
 
 # Cells per axis of tensor trees; those of rank 3 are cheap enough to be finer.
 TREE_SIZES = {3: 64, 4: 32}
@@ -140,8 +140,6 @@ def read_back(records: Sequence[Record], path: str | PathLike[str]) -> list[Loss
 
 def _check_sides(records: Sequence[Record]) -> None:
     """Raise ValueError unless the records are of different sides of one specimen."""
-    for record in records:
-        check_channels(record, "a Radiance file")
     sides = [record.asked.side for record in records]
     if len(set(sides)) < len(sides):
         raise SettingError(

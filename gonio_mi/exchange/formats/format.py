@@ -1,6 +1,7 @@
 """What formats of this room share: texts read line by line, and their interface.
 
-ALTA, Mitsuba and TracePro have no module: their files are only refused.
+ALTA, Mitsuba and TracePro have no module: their files are only refused. Nor have the
+files of arrays, and text with columns, which `tables` reads under any headings.
 """
 
 import re
@@ -20,6 +21,9 @@ from .scatter import Points, Scatter
 
 # Longest line, which is one of values; numbers that a text may announce.
 MAX_LINE, MAX_NUMBERS = 10**6, 10**8
+
+# Kinds of channels, in words.
+COLOURS, WAVELENGTHS = "R, G, B", "wavelengths"
 
 
 def without_mark(content: bytes) -> bytes:
@@ -152,10 +156,20 @@ class Format:
     material : callable, optional
         Means over patches of a binary stream and a lit face, where these are not those
         of `scatter`.
+    writes : tuple of str
+        Endings that a record is written to; empty if it is only read.
     write : callable, optional
-        Writes `Scatter` to a binary stream, with a comment.
+        Writes `Scatter` to a binary stream, with a comment; without it a format that
+        writes needs a renderer, and has its function in `exporting`.
     specular : bool
         Whether it writes grids about the specular direction.
+    in_parts : bool
+        Whether a file holds one quantity and channel.
+    channels : tuple of str
+        Kinds of several channels that a file holds: :data:`COLOURS` or
+        :data:`WAVELENGTHS`; any if empty.
+    polarised : bool
+        Whether it holds Mueller matrices.
     isotropic : bool
         Whether it holds one azimuth of incidence only.
     reflection_only : bool
@@ -174,8 +188,12 @@ class Format:
     scatter: Callable[[BinaryIO], Scatter] | None = None
     points: Callable[[BinaryIO, str | None], Points] | None = None
     material: Callable[[BinaryIO, str], PatchMeans] | None = None
+    writes: tuple[str, ...] = ()
     write: Callable[[Scatter, BinaryIO, str], None] | None = None
     specular: bool = False
+    in_parts: bool = False
+    channels: tuple[str, ...] = ()
+    polarised: bool = False
     isotropic: bool = False
     reflection_only: bool = False
     n_incidences: int = 1
@@ -184,10 +202,16 @@ class Format:
 
 
 FORMATS = (
+    Format("text with columns", (), writes=(".csv",), in_parts=True, polarised=True),
+    Format("NetCDF", (), writes=(".nc",), polarised=True),
+    Format("HDF5", (), writes=(".h5",), polarised=True),
     Format(
         "Mitsuba",
         (".bsdf",),
         begins=re.compile(MAGIC.decode()),
+        writes=(".bsdf",),
+        channels=(COLOURS, WAVELENGTHS),
+        reflection_only=True,
         refused="it is a material of Mitsuba: measure the specimen "
         "measured:filename={path}",
     ),

@@ -17,18 +17,14 @@ import numpy as np
 from ...array_types import Floats
 from ...collector.directions import angles, direction
 from ...files.checks import require, size_of
-from .format import Format
-from .scatter import Block, Scatter
+from .format import COLOURS, Format
+from .scatter import AROUND, RADIAL, Block, Scatter
 
 CELLS = (90, 90, 180)
 SCALES = np.array([1.0, 1.15, 1.66]) / 1500
 
-# Incident directions that the table is taken at, and angles from the mirror direction.
+# Incident directions that the table is taken at.
 THETA_I = tuple(range(0, 90, 5))
-RADIAL = np.array(
-    [0, 0.1, 0.25, *np.arange(0.5, 10, 0.5), *range(10, 60), *range(60, 180, 3)]
-)
-AZIMUTH = np.arange(0.0, 361.0, 10.0)
 
 # Values that are asked for at once.
 CELLS_AT_ONCE = 2**16
@@ -51,8 +47,8 @@ def read(stream: BinaryIO, incidences: Sequence[float] = THETA_I) -> Scatter:
     require(bool(np.isfinite(table).all()), "a value is not finite")
     blocks = []
     for theta_i in incidences:
-        empty = np.zeros((len(RADIAL), len(AZIMUTH), 1))
-        frame = Block(float(theta_i), 0.0, 0, RADIAL, AZIMUTH, empty, specular=True)
+        empty = np.zeros((len(RADIAL), len(AROUND), 1))
+        frame = Block(float(theta_i), 0.0, 0, RADIAL, AROUND, empty, specular=True)
         wo = frame.directions()
         # below the horizon as on it, so that nothing is interpolated towards black
         wo[..., 2] = np.maximum(wo[..., 2], 1e-3)
@@ -137,6 +133,8 @@ FORMATS = (
         "MERL database",
         (".binary",),
         scatter=read,
+        writes=(".binary",),
+        channels=(COLOURS,),
         isotropic=True,
         reflection_only=True,
         loses="transmission, anisotropy, non-reciprocity",

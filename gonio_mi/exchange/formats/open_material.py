@@ -19,7 +19,7 @@ from ...array_types import Floats
 from ...errors import FileFormatError, abridged
 from ...files.checks import require
 from ...results.record import wavelengths_nm
-from .format import MAX_NUMBERS, Format, without_mark
+from .format import MAX_NUMBERS, WAVELENGTHS, Format, without_mark
 from .scatter import Block, Points, Scatter
 
 SCHEMA = (
@@ -224,7 +224,9 @@ FORMATS = (
         (".json", ".xompt"),
         scatter=read,
         points=points,
+        writes=(".json", ".xompt"),
         write=write,
+        channels=(WAVELENGTHS,),
         isotropic=True,
         reflection_only=True,
         loses="transmission, azimuth of incidence",

@@ -13,7 +13,7 @@ from ...collector.hemisphere import Subdivision
 from ...collector.shirley_chiu import ShirleyChiu
 from ...files.checks import require
 from ...results.patch_means import PatchMeans
-from .format import Format
+from .format import COLOURS, WAVELENGTHS, Format
 from .radiance import (
     DIRECTIONS,
     OTHER,
@@ -155,6 +155,8 @@ FORMATS = (
         "Radiance",
         (".xml",),
         material=material,
+        writes=(".xml",),
+        channels=(COLOURS, WAVELENGTHS),
         loses="lobes narrower than its patches or cells",
     ),
 )

@@ -35,10 +35,13 @@ def _all() -> tuple[Format, ...]:
     return tuple(one for module in modules for one in getattr(module, "FORMATS", ()))
 
 
-def endings_of(can: str) -> tuple[str, ...]:
-    """Endings of formats that have a part of `Format`, such as ``"scatter"``."""
+def endings_of(can: str, of: str = "endings") -> tuple[str, ...]:
+    """Endings of formats that have a part of `Format`, such as ``"scatter"``.
+
+    Those that are read, or of ``"writes"`` those that are written.
+    """
     able = [one for one in _all() if getattr(one, can)]
-    return tuple(dict.fromkeys(e for one in able for e in one.endings))
+    return tuple(dict.fromkeys(e for one in able for e in getattr(one, of)))
 
 
 def lost_in_each() -> str:
@@ -47,9 +50,14 @@ def lost_in_each() -> str:
     return "\n".join(f"  {name:18} {one.program}: {one.loses}" for name, one in rows)
 
 
-def format_named(ending: str) -> Format:
-    """The format that writes files of an ending."""
-    return next(one for one in _all() if one.write and ending in one.endings)
+def written_as(path: str | PathLike[str]) -> tuple[Format, str]:
+    """Format that a record is written in to a path, and its ending in small letters.
+
+    The longest of those known, as ``.zemax.bsdf``.
+    """
+    name, endings = Path(path).name.lower(), endings_of("writes", "writes")
+    ending = max(filter(name.endswith, endings), key=len)
+    return next(one for one in _all() if ending in one.writes), ending
 
 
 def format_of(path: str | PathLike[str]) -> Format | None:

@@ -14,14 +14,28 @@ from ...array_types import Floats
 from ...collector import EqualAngle
 from ...collector.directions import angles, direction
 from ...collector.hemisphere import Subdivision
+from ...errors import SettingError
 from ...files.checks import require
 from ...results.patch_means import PatchMeans
+from ...results.record import Record, fractions_of
 
 # Points per side of a patch that is averaged over.
 POINTS = 6
 
 # Polar angles below the horizon by no more than this, in degrees, are on it.
 HORIZON_TOLERANCE = 1e-6
+
+# Polar angles and azimuths about the specular direction, where lobes are narrow.
+RADIAL = np.array(
+    [0, 0.1, 0.25, *np.arange(0.5, 10, 0.5), *range(10, 60), *range(60, 180, 3)]
+)
+AROUND = np.arange(0.0, 361.0, 10.0)
+
+# Points per side of what a value of a grid stands for.
+NODE_POINTS = 3
+
+# A direction below the horizon stands for the one at this angle above, in degrees.
+MIN_ELEVATION = 0.1
 
 # Rings and sectors of patches, as fine as such data usually are.
 PATCHES = 60, 72
@@ -305,6 +319,97 @@ def scatter_means(scatter: Scatter, patches: Subdivision | None = None) -> Patch
         means[here] = values.reshape(shape[2:])
     theta_i, phi_i = np.array(incident).T
     return PatchMeans.of(means, patches, (theta_i, phi_i), scatter.channels)
+
+
+def fractions_of_scatter(scatter: Scatter, record: Record) -> Floats:
+    """Flux fractions in the patches and for the incident directions of a record."""
+    if len(set(record.phi_i.tolist())) == 1:  # which no file of one azimuth tells
+        phi_i = float(record.phi_i[0])
+        turned = [replace(block, phi_i=phi_i) for block in scatter.blocks]
+        scatter = Scatter(turned, scatter.channels)
+    means = scatter_means(scatter, record.subdivision)
+    wanted = direction(np.radians(record.theta_i), np.radians(record.phi_i))
+    held = direction(np.radians(means.theta_i), np.radians(means.phi_i))
+    nearest = np.argmax(wanted @ held.T, axis=1)
+    # at normal incidence azimuths are told apart by nothing but themselves
+    turn = np.mod(means.phi_i[None] - record.phi_i[:, None] + 180, 360) - 180
+    normal = np.abs(record.theta_i) < MIN_ELEVATION
+    distance = np.where(means.theta_i[None] < MIN_ELEVATION, np.abs(turn), np.inf)
+    return means.flux_fraction[np.where(normal, distance.argmin(axis=1), nearest)]
+
+
+# ---------------------------------------------------------------------- of a record
+
+
+def scatter_of(record: Record, specular: bool) -> Scatter:
+    """Means of a record around the points of grids, with the light of its maps.
+
+    Parameters
+    ----------
+    record : Record
+    specular : bool
+        Whether the grids are about the specular direction.
+
+    Raises
+    ------
+    ValueError
+        If it has apertures, and so no whole hemisphere.
+    """
+    if record.subdivision.axes is not None:
+        raise SettingError(
+            "a collector of apertures measures some directions only: the file needs "
+            "a whole hemisphere, or write a .csv"
+        )
+    blocks = []
+    fractions = fractions_of(record)
+    projected = record.subdivision.projected_solid_angles[..., None]
+    n_patches = record.subdivision.n_patches
+    for index, hemisphere in np.ndindex(fractions.shape[:2]):
+        fraction = fractions[index, hemisphere]
+        polar, azimuth = (RADIAL, AROUND) if specular else _grid(record)
+        empty = np.zeros((len(polar), len(azimuth), 1))
+        theta_i = float(np.clip(record.theta_i[index], 0, None))
+        phi_i = float(record.phi_i[index]) % 360
+        frame = Block(theta_i, phi_i, hemisphere, polar, azimuth, empty, specular)
+        # a sum that is negative by chance is no light
+        means = (np.maximum(fraction, 0) / projected).reshape(n_patches, -1)
+        block = replace(frame, values=_around_nodes(record, frame, means))
+        total, wanted = total_of(block), np.maximum(fraction.sum(axis=(0, 1)), 0)
+        factor = np.where(total > 0, wanted / np.where(total > 0, total, 1), 1.0)
+        blocks.append(replace(block, values=block.values * factor, total=wanted))
+    return Scatter(blocks, record.channels)
+
+
+def _grid(record: Record) -> tuple[Floats, Floats]:
+    """Polar angles and azimuths about the normal, some for each patch."""
+    n_theta, n_phi = record.subdivision.shape
+    step = 90 / np.clip(3 * n_theta, 18, 90).astype(int)
+    turn = 360 / np.clip(4 * n_phi, 36, 180).astype(int)
+    return np.arange(0, 90 + step / 2, step), np.arange(0, 360 + turn / 2, turn)
+
+
+def _around_nodes(record: Record, frame: Block, means: Floats) -> Floats:
+    """Means of patch means around the points of a grid, ``(n, m, channels)``."""
+    low, high = _cells(frame.polar), _cells(frame.azimuth, periodic=True)
+    steps = (np.arange(NODE_POINTS) + 0.5) / NODE_POINTS
+    sums = np.zeros((len(frame.polar), len(frame.azimuth), means.shape[-1]))
+    for along, around in np.ndindex(NODE_POINTS, NODE_POINTS):
+        polar = low[0] + (low[1] - low[0]) * steps[along]
+        azimuth = high[0] + (high[1] - high[0]) * steps[around]
+        wo = frame.directions(polar, azimuth)
+        wo[..., 2] = np.maximum(wo[..., 2], np.sin(np.radians(MIN_ELEVATION)))
+        wo /= np.linalg.norm(wo, axis=-1, keepdims=True)
+        sums += means[record.subdivision.patch(wo)]
+    return sums / NODE_POINTS**2
+
+
+def _cells(angles: Floats, periodic: bool = False) -> tuple[Floats, Floats]:
+    """Where what an angle stands for begins and ends: half-way to its neighbours."""
+    middles = (angles[1:] + angles[:-1]) / 2
+    low, high = angles[0], angles[-1]
+    if periodic:
+        low, high = low - (angles[1] - low) / 2, high + (high - angles[-2]) / 2
+    return np.append(low, middles), np.append(middles, high)
 
 
 def _between(edges: Floats, x: Floats) -> tuple[np.ndarray, Floats]:

@@ -26,7 +26,7 @@ from ...array_types import Floats
 from ...files.checks import require
 from ...files.numbers import decimal, is_decimal
 from ...results.record import wavelengths_nm
-from .format import Format, Lines, check_size
+from .format import WAVELENGTHS, Format, Lines, check_size
 from .scatter import Block, Scatter, total_of
 
 ANISOTROPIC, SPECTRAL = "OPTIS - Anisotropic BSDF surface file", "OPTIS - brdf surface"
@@ -275,7 +275,9 @@ FORMATS = (
         (".brdf",),
         begins=BEGINS,
         scatter=read,
+        writes=(".brdf",),
         write=write_spectral,
+        channels=(WAVELENGTHS,),
         isotropic=True,
         n_incidences=2,
         loses="azimuth of incidence",
@@ -285,7 +287,9 @@ FORMATS = (
         (".anisotropicbsdf",),
         begins=BEGINS,
         scatter=read,
+        writes=(".anisotropicbsdf",),
         write=write_anisotropic,
+        channels=(WAVELENGTHS,),
         loses="lobes of each wavelength (one shape for all)",
     ),
     Format(

@@ -161,8 +161,10 @@ FORMATS = (
         (".bsdf",),
         begins=re.compile(r"^[ \t]*ScatterType\s", re.MULTILINE),
         scatter=read,
+        writes=(".zemax.bsdf",),
         write=write,
         specular=True,
+        in_parts=True,
         loses="detail finer than its grid",
     ),
 )

@@ -22,12 +22,13 @@ import gonio_mi as gonio
 from gonio_mi.cli import main
 from gonio_mi.collector.directions import direction
 from gonio_mi.errors import FileFormatError
-from gonio_mi.exchange.exports import exporting, scatter_export
+from gonio_mi.exchange.exports import exporting
 from gonio_mi.exchange.formats import (
     format as room,
     merl,
     open_material,
     reading,
+    scatter,
     speos,
     zemax,
 )
@@ -238,13 +239,13 @@ def blurred(one, specular):
         """Steps along the polar angle and along the azimuth, in radians."""
         theta, phi = np.meshgrid(*angles, indexing="ij")
         if not specular:
-            polar, azimuth = (np.radians(a[1]) for a in scatter_export._grid(one))
+            polar, azimuth = (np.radians(a[1]) for a in scatter._grid(one))
             return polar, azimuth * np.sin(theta)
-        radial = np.radians(scatter_export.RADIAL)
+        radial = np.radians(scatter.RADIAL)
         off = np.arccos(np.clip(direction(theta, phi) @ mirror, -1, 1))
         step = np.hypot(
             np.interp(off, radial[1:], np.diff(radial)),
-            np.radians(scatter_export.AROUND[1]) * np.sin(off),
+            np.radians(scatter.AROUND[1]) * np.sin(off),
         )
         return step, step
 
@@ -644,13 +645,19 @@ def test_a_format_that_is_added_is_read_written_and_named(tmp_path, monkeypatch)
         ]
         return Scatter(flat, ("Y",))
 
-    plain = Format("Plain", (".plain",), scatter=read, write=write, loses="all else")
+    plain = Format(
+        *("Plain", (".plain",)),
+        scatter=read,
+        writes=(".plain",),
+        write=write,
+        loses="all else",
+    )
     monkeypatch.setattr(room, "FORMATS", (*room.FORMATS, plain))
     reading._all.cache_clear()
     try:
         path = tmp_path / "a.plain"
         record = synthetic.record("projected:4x8", theta_i=(0, 30, 60), phi_i=(0,) * 3)
-        losses = scatter_export.write_grids(record, path)
+        losses = exporting.export(record, path)
         assert [loss.theta_i for loss in losses] == [0, 30, 60]
         table = gonio.read_measured(path)
         assert np.ptp(table.value) == 0
