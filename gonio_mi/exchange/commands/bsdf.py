@@ -62,7 +62,8 @@ from ...surfaces.topography import metres
 from ..exports.bsdf_file import RAYS, bsdf, properties
 from ..exports.daylight import VISIBLE_NM, luminous
 from ..exports.loss import in_words
-from ..formats.radiance import BASES, BLOCKS, Product
+from ..formats.radiance import BLOCKS, Product
+from ..formats.radiance_basis import BASES
 
 WAVELENGTHS = f"{VISIBLE_NM[0]} to {VISIBLE_NM[-1]} by {VISIBLE_NM[1] - VISIBLE_NM[0]}"
 

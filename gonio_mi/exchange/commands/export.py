@@ -20,7 +20,8 @@ from ...commands.arguments import DONE, add_text, set_variant, tell
 from ...commands.file_kinds import record_of
 from ...errors import SettingError
 from ...results.record import wavelengths_nm
-from ..formats.radiance import BASES, BLOCKS
+from ..formats.radiance import BLOCKS
+from ..formats.radiance_basis import BASES
 from ..formats.reading import endings_of, lost_in_each
 
 USAGE = "%(prog)s RECORD [RECORD] -o OUT ... [options]"
@@ -55,8 +56,8 @@ def run(options: Namespace) -> int:
     endings = endings_of("writes", "writes")
     for path in options.output:
         files.check_output(path, endings)
-    endings = {Path(path).suffix.lower() for path in options.output}
-    if options.basis and ".xml" not in endings:
+    asked = {Path(path).suffix.lower() for path in options.output}
+    if options.basis and ".xml" not in asked:
         got = ", ".join(options.output)
         raise SettingError(f"--basis applies to .xml files only, got {got}")
     spectral = wavelengths_nm(records[0].channels) is not None

@@ -20,7 +20,8 @@ from ...results.prediction_error import prediction_error
 from ...results.record import Record
 from ...settings.values import checked_wavelengths
 from ...specimen.specimen_text import SpecimenLike
-from ..formats.radiance import BASES, Product
+from ..formats.radiance import Product
+from ..formats.radiance_basis import BASES, TO_X, Basis
 from .daylight import SOLAR, VISIBLE, VISIBLE_NM, of_daylight
 from .exporting import export
 
@@ -100,8 +101,6 @@ def bsdf(
         After Ctrl-C: no file is written.
     """
     check_there("materials", "a file .xml")
-    from .radiance_export import incidence
-
     check_output(path, (".xml",))
     checked_choice("basis", basis, BASES)
     for name in FIXED:
@@ -116,13 +115,14 @@ def bsdf(
             if solar is not None:
                 SOLAR.check(np.array(nm))
     size = _checked_cells(basis, cells)
-    incident, collector = incidence(basis, size)
+    own = Basis.named(basis, size)
+    incident, collector = own.incident, own.patches
     if all(settings.get(name) is None for name in ("rays", "rel_err", "noise")):
         settings["rays"] = RAYS
     if basis == "tensor3":
         _warn_unless_isotropic(specimen, settings)
         settings["theta_i"] = np.degrees(incident.middles[0][:, 1])
-        settings["phi_i"] = 180.0
+        settings["phi_i"] = TO_X
     settings |= {"incident": incident, "collector": collector}
     sides: dict[str, list[Record]] = {"": [], "solar ": []}
     for prefix, measured in (("", specimen), ("solar ", solar)):

@@ -24,7 +24,8 @@ from ...results.summary import OVER_THE_EDGE, summarize
 from ...results.tally import ELEMENT_NAMES
 from ..formats import merl
 from ..formats.format import WAVELENGTHS, Format
-from ..formats.radiance import BASES, Product
+from ..formats.radiance import Product
+from ..formats.radiance_basis import BASES
 from ..formats.reading import endings_of, read_measured, written_as
 from ..formats.scatter import Scatter, fractions_of_scatter, scatter_of
 from .loss import Loss, losses, part_names

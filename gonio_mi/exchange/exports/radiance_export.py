@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from ...array_types import Floats
-from ...collector.borders import Borders
 from ...collector.directions import angles
 from ...collector.hemisphere import Subdivision
 from ...collector.klems import KLEMS
@@ -15,10 +14,10 @@ from ...collector.shirley_chiu import ShirleyChiu
 from ...errors import SettingError, abridged, warn
 from ...files import replacing
 from ...materials.resampling import Material, resampled, specular_peaks
-from ...results.record import XYZ, Record, both_sides, fractions_of
+from ...results.record import Record, both_sides, fractions_of
 from ..formats import radiance, radiance_material
-from ..formats.radiance import OTHER, RANKS, Product, RadianceBSDF
-from ..formats.tensor_tree import TensorTree, isotropic_incidence
+from ..formats.radiance import OTHER, Product, RadianceBSDF
+from ..formats.radiance_basis import RANKS, TO_X, Basis
 from .daylight import VISIBLE, lit_by, of_daylight
 from .loss import Loss, losses
 
@@ -29,10 +28,6 @@ TREE_SIZES = {3: 64, 4: 32}
 # of the cells of tensor trees, of which there are more.
 POINTS_IN, POINTS_OUT = 3, 8
 CELL_POINTS = 2
-
-# Half the width in degrees of the azimuths of incidence that tensor trees of rank 3
-# average over.
-HALF_WEDGE = 0.05
 
 # Fraction of the flux that may be elsewhere if source and view are exchanged; that of
 # reciprocal specimens of all kinds reaches 0.015, by the patches of their files.
@@ -159,56 +154,39 @@ class Side:
 
     def __init__(self, record: Record, basis: str, progress: bool = False) -> None:
         self.record, self.progress = record, progress
-        self.rank = RANKS.get(basis)
+        own, rank = record.subdivision, RANKS.get(basis)
+        cells = own.size if isinstance(own, ShirleyChiu) else TREE_SIZES.get(rank or 0)
+        self.basis = Basis.named(basis, cells or 0)
         self.face = record.asked.side
         self.hemispheres = range(record.n_hemispheres)
-        #: patches of exit of the file
-        self.patches: Subdivision = record.subdivision
-        if self.rank is None:
-            self.patches = KLEMS[basis]
-        elif not isinstance(self.patches, ShirleyChiu):
-            self.patches = ShirleyChiu(TREE_SIZES[self.rank])
-        self.measured = _is_measured(record, basis, self.patches)
+        self.measured = _is_measured(record, basis, self.basis)
         if not self.measured:
-            _check_resampled(record, self.rank)
+            _check_resampled(record, rank)
             self.material = Material(record, specular_peaks(record))
 
     def blocks(self, colours: int = 1) -> dict[tuple[str, str], Any]:
         """Matrices or trees by wavelength and direction, of so many channels."""
         blocks: dict[tuple[str, str], Any] = {}
-        projected = self.patches.projected_solid_angles.reshape(-1, 1)
+        projected = self.basis.patches.projected_solid_angles.reshape(-1, 1)
         for hemisphere in self.hemispheres:
             name = radiance.DIRECTIONS[self.face, hemisphere]
             values = self._flux(hemisphere) / projected
             values = np.repeat(values, colours // values.shape[-1] or 1, axis=-1)
-            if self.rank is None:
-                blocks |= matrices(np.swapaxes(values, 0, 1), name)
-                continue
-            size = self.patches.shape[0]
-            grid = values.reshape(-1, *[size] * (self.rank - 1), values.shape[-1])
-            if self.rank == 3:  # its unused half holds the mean of the other
-                unused = np.broadcast_to(grid.mean(axis=(0, 1, 2)), grid.shape)
-                grid = np.concatenate([grid, unused])
-            blocks |= trees(grid, name)
+            blocks |= self.basis.blocks(values, name)
         return blocks
 
     def _flux(self, hemisphere: int) -> Floats:
         """Flux fractions of the file's patches, incident times exit times channels."""
+        record, rank = self.record, self.basis.rank
         if self.measured:  # in the order of the file
-            patches = _flight_patches(self.record, self.patches)
-            order = np.argsort(-self.record.theta_i if self.rank == 3 else patches)
-            flux = fractions_of(self.record)[order, hemisphere]
+            patches = self.basis.incident_patch(record.theta_i, record.phi_i)
+            flux = fractions_of(record)[np.argsort(patches), hemisphere]
             return flux.reshape(len(flux), -1, flux.shape[-1])
-        n_in = POINTS_IN if self.rank is None else CELL_POINTS
-        n_out = POINTS_OUT if self.rank is None else CELL_POINTS
-        if self.rank == 3:
-            theta_i = isotropic_incidence(self.patches.shape[0], n_in)
-            phi_i = np.full_like(theta_i, 180.0)
-        else:
-            flight = self.patches.points(n_in)
-            theta_i, phi_i = np.degrees(angles(flight * [-1, -1, 1]))
-        where = hemisphere, theta_i, phi_i, self.patches, n_out
-        return resampled(self.material, *where, progress=self.progress)
+        n_in, n_out = CELL_POINTS, CELL_POINTS
+        if rank is None:
+            n_in, n_out = POINTS_IN, POINTS_OUT
+        where = *self.basis.incident_points(n_in), self.basis.patches, n_out
+        return resampled(self.material, hemisphere, *where, progress=self.progress)
 
     def warn_if_exchanged(self, written: RadianceBSDF, noise: float) -> None:
         """Warn of reflection that Radiance renders with source and view exchanged.
@@ -233,10 +211,10 @@ class Side:
 
     def losses(self, written: RadianceBSDF) -> list[Loss]:
         """What the file has lost at the record's own incident directions."""
-        record, patches = self.record, self.patches
+        record, patches = self.record, self.basis.patches
         theta, phi = record.theta_i, record.phi_i
-        if self.rank == 3:
-            phi = np.full_like(phi, 180.0)  # of light that flies to +x
+        if self.basis.rank == 3:
+            phi = np.full_like(phi, TO_X)
         middles = patches.points(1)[:, 0]
         projected = patches.projected_solid_angles.reshape(-1, 1)
         theirs: Any = [
@@ -254,30 +232,6 @@ class Side:
         where = theta[:, None], phi[:, None], patches, POINTS_OUT
         ours = [resampled(self.material, h, *where) for h in self.hemispheres]
         return losses(record, np.array(theirs), np.stack(ours, axis=1))
-
-
-def matrices(values: Floats, direction: str) -> dict[tuple[str, str], Floats]:
-    """Blocks of a Klems matrix ``(n, n, channels)`` in one direction."""
-    if values.shape[-1] == 1:
-        return {("Visible", direction): values[..., 0]}
-    parts = np.moveaxis(values @ XYZ.T, -1, 0)
-    return {(name, direction): one for name, one in zip(radiance.MATRIX_NAMES, parts)}
-
-
-def trees(values: Floats, direction: str) -> dict[tuple[str, str], TensorTree]:
-    """Blocks of tensor trees of a grid, ``(n, n, ..., channels)``."""
-    if values.shape[-1] == 1:
-        return {("Visible", direction): TensorTree.of(values[..., 0])}
-    x, y, z = np.moveaxis(values @ XYZ.T, -1, 0)
-    total = x + 15 * y + 3 * z
-    lit = total > 0
-    total = np.where(lit, total, 1)
-    u = np.where(lit, 4 * x / total, radiance.WHITE[0])
-    v = np.where(lit, 9 * y / total, radiance.WHITE[1])
-    # Radiance takes diffuse light out cell by cell of u' and v', so that these must be
-    # as fine as Y
-    parts = TensorTree.of(y), TensorTree.of(u, flat=0), TensorTree.of(v, flat=0)
-    return {(name, direction): part for name, part in zip(radiance.TREE_NAMES, parts)}
 
 
 def exchanged(
@@ -307,29 +261,7 @@ def exchanged(
     return float(elsewhere), means @ solid, solid @ means
 
 
-def incidence(basis: str, cells: int) -> tuple[Subdivision, Subdivision]:
-    """Patches of incidence and of exit that a file needs.
-
-    Parameters
-    ----------
-    basis : str
-        One of `BASES`.
-    cells : int
-        Per axis of tensor trees, a power of two.
-    """
-    if basis in KLEMS:
-        return KLEMS[basis], KLEMS[basis]
-    patches = ShirleyChiu(cells)
-    if basis == "tensor4":
-        return patches, patches
-    # equal steps of the sine, in the plane of flight to +x
-    sines = np.arange(1, cells // 2) * (2 / cells)
-    theta = (0, *np.degrees(np.arcsin(sines)), 90)
-    wedge = (0, 180 - HALF_WEDGE, 180 + HALF_WEDGE, 360)
-    return Borders(theta, wedge), patches
-
-
-def _is_measured(record: Record, basis: str, patches: Subdivision) -> bool:
+def _is_measured(record: Record, name: str, basis: Basis) -> bool:
     """Whether a record was measured in the patches of the file, on both ends.
 
     Raises
@@ -340,30 +272,21 @@ def _is_measured(record: Record, basis: str, patches: Subdivision) -> bool:
     filled = record.asked.incident
     if filled is None:
         return False
-    wanted, _ = incidence(basis, patches.shape[0])
-    if filled != wanted or record.subdivision != patches:
+    if filled != basis.incident or record.subdivision != basis.patches:
         raise SettingError(
             f"a record whose light fills patches of incidence goes to a file of the "
             f"same patches, got the incident {filled!s:.40}, the collector "
-            f"{record.subdivision!s:.40} and the basis {basis}: take the same for all"
+            f"{record.subdivision!s:.40} and the basis {name}: take the same for all"
         )
-    middles = np.degrees(wanted.middles[1]).ravel()
-    if basis == "tensor3":
-        n, held = len(middles) // 3, np.unique(np.round(record.theta_i, 9))
-    else:
-        n, held = len(middles), np.unique(_flight_patches(record, wanted))
-    if not len(held) == len(record) == n:
+    n = len(basis.incident_points(1)[0])
+    n_held = len(np.unique(basis.incident_patch(record.theta_i, record.phi_i)))
+    if not n_held == len(record) == n:
         raise SettingError(
-            f"the record must hold each of the {n} incident patches of {basis} once, "
-            f"got {len(held)} of them in {len(record)} directions: measure with "
-            f"incident {wanted!s:.40} and without theta_i"
+            f"the record must hold each of the {n} incident patches of {name} once, "
+            f"got {n_held} of them in {len(record)} directions: measure with "
+            f"incident {basis.incident!s:.40} and without theta_i"
         )
     return True
-
-
-def _flight_patches(record: Record, patches: Subdivision) -> Any:
-    """Patches of the directions in which a record's incident light flies."""
-    return radiance.incident_patch(record.theta_i, record.phi_i, patches)
 
 
 def _check_resampled(record: Record, rank: int | None) -> None:

@@ -1,7 +1,7 @@
 """Radiance's BSDF files, as WINDOW writes them: Klems matrices and tensor trees.
 
-Radiance lights the face that WINDOW calls the back from +z, and names the incident
-patch by the azimuth of flight; matrices are rows of exit and columns of incidence.
+Radiance lights the face that WINDOW calls the back from +z. Patches, incident light and
+colours are those of :mod:`.radiance_basis`.
 """
 
 import xml.etree.ElementTree as ElementTree
@@ -15,26 +15,20 @@ from xml.sax.saxutils import escape
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...array_types import Floats, Integers
+from ...array_types import Floats
 from ...collector.directions import angles, direction as unit_vectors
-from ...collector.hemisphere import Subdivision
-from ...collector.klems import KLEMS, Klems
+from ...collector.klems import KLEMS
 from ...errors import FileFormatError, printable
 from ...files.checks import require, size_of
 from ...files.numbers import decimal
-from ...results.record import XYZ
-from .tensor_tree import TensorTree, coordinates
+from .radiance_basis import MATRIX_NAMES, RANKS, TREE_NAMES, Basis
+from .tensor_tree import TensorTree
 
 # Klems bases by their names in files.
 KLEMS_BASES = {f"LBNL/Klems {one.size.capitalize()}": one for one in KLEMS.values()}
 SHIRLEY_CHIU = "LBNL/Shirley-Chiu"
 
-# Ranks of tensor trees by our names, and by those of their structures in files.
-RANKS = {"tensor3": 3, "tensor4": 4}
 STRUCTURES = {f"TensorTree{rank}": rank for rank in RANKS.values()}
-
-# What a file may be written in.
-BASES = (*KLEMS, *RANKS)
 
 # Reflection and transmission, by the lit face.
 DIRECTIONS = {
@@ -71,12 +65,6 @@ SOURCES["Solar"] = "ASTM E891 Table 1 Direct AM1_5.ssp"
 # Longest file read: a hundred times what 12 matrices need.
 MAX_BYTES = 2**29
 
-MATRIX_NAMES = ("CIE-X", "Visible", "CIE-Z")
-TREE_NAMES = ("Visible", "CIE-u", "CIE-v")
-
-# u' and v' of equal energy, which black has in Radiance.
-WHITE = (4 / 19, 9 / 19)
-
 
 @dataclass(frozen=True)
 class Product:
@@ -108,37 +96,6 @@ class Product:
         return "\n".join([*lines, "<DeviceType>Other</DeviceType>"])
 
 
-def basis_of(matrix: Floats) -> str:
-    """Name of the Klems basis of a matrix ``(n, n)``, by its size."""
-    n = len(matrix)
-    return next(name for name, one in KLEMS_BASES.items() if one.n_patches == n)
-
-
-def diffuse_total(block: Floats | TensorTree) -> float:
-    """Fraction of diffuse light, from all of a hemisphere, that leaves."""
-    if isinstance(block, TensorTree):
-        return block.diffuse_total()
-    solid = KLEMS_BASES[basis_of(block)].projected_solid_angles.ravel()
-    return float(solid @ block @ solid / np.pi)
-
-
-def has_one_value(block: Floats | TensorTree) -> bool:
-    """Whether a block has the same value for all pairs of directions."""
-    values = block.root if isinstance(block, TensorTree) else block
-    return not isinstance(values, list) and bool(np.all(values == values.flat[0]))
-
-
-def incident_patch(
-    theta_i: ArrayLike, phi_i: ArrayLike, basis: Subdivision | None = None
-) -> Integers:
-    """Columns of incident directions in degrees, `theta_i` from the lit normal.
-
-    Of the Klems full basis unless other patches are given.
-    """
-    basis = Klems() if basis is None else basis
-    return basis.patch(unit_vectors(np.radians(theta_i), np.radians(phi_i) + np.pi))
-
-
 # ----------------------------------------------------------------------------- writing
 
 
@@ -162,7 +119,7 @@ def write(
     if isinstance(first, TensorTree):
         definition = _structure(f"TensorTree{first.rank}")
     else:
-        definition = _structure("Columns") + _klems_basis(basis_of(first))
+        definition = _structure("Columns") + _klems_basis(_name_of(first))
     product = product or Product()
     stream.write(
         f"""<?xml version="1.0" encoding="UTF-8"?>
@@ -190,6 +147,12 @@ def _structure(name: str) -> str:
     return f"<IncidentDataStructure>{name}</IncidentDataStructure>\n"
 
 
+def _name_of(matrix: Floats) -> str:
+    """Name of the Klems basis of a matrix ``(n, n)``, by its size."""
+    n = len(matrix)
+    return next(name for name, one in KLEMS_BASES.items() if one.n_patches == n)
+
+
 def _klems_basis(name: str) -> str:
     edges, n_phi = KLEMS_BASES[name].theta_deg, KLEMS_BASES[name].n_phi
     rings = "".join(
@@ -207,7 +170,7 @@ def _block(wavelength: str, direction: str, block: Floats | TensorTree) -> str:
         basis = f"<AngleBasis>{SHIRLEY_CHIU}</AngleBasis>"
         text = block.text()
     else:
-        name = basis_of(block)
+        name = _name_of(block)
         basis = f"<ColumnAngleBasis>{name}</ColumnAngleBasis>\n"
         basis += f"<RowAngleBasis>{name}</RowAngleBasis>"
         # as WINDOW has them; pyWinCalc reads no other
@@ -343,10 +306,8 @@ class RadianceBSDF:
         As `read` returns.
     channels : tuple of str
         ``("Y",)`` or ``("R", "G", "B")``.
-    rank : {None, 3, 4}
-        Of tensor trees; None for Klems matrices.
-    basis : Klems
-        Of the matrices; None for tensor trees.
+    basis : Basis
+        Of trees the finest.
 
     Raises
     ------
@@ -356,20 +317,11 @@ class RadianceBSDF:
 
     def __init__(self, stream: BinaryIO) -> None:
         self.blocks: dict[tuple[str, str], Any] = read(stream)
-        first: Any = next(iter(self.blocks.values()))
-        self.rank: int | None = None
-        #: cells per axis of trees
-        self.size = 1
-        self.basis: Any = None
-        self._names: tuple[str, ...] = MATRIX_NAMES
-        if isinstance(first, TensorTree):
-            self.rank, self._names = first.rank, TREE_NAMES
-            self.size = max(tree.size for tree in self.blocks.values())
-        else:
-            self.basis = KLEMS_BASES[basis_of(first)]
-            blocks: Any = self.blocks.values()
-            sizes = {len(matrix) for matrix in blocks}
-            require(len(sizes) == 1, "its matrices are of several bases")
+        bases = {Basis.of(block) for block in self.blocks.values()}
+        self.basis = max(bases, key=lambda one: one.size)
+        is_tree = self.basis.rank is not None
+        require(is_tree or len(bases) == 1, "its matrices are of several bases")
+        self._names: tuple[str, ...] = TREE_NAMES if is_tree else MATRIX_NAMES
         self.channels: tuple[str, ...] = ("R", "G", "B")
         if not {name for name, _ in self.blocks} >= set(self._names):
             self.channels, self._names = ("Y",), ("Visible",)
@@ -421,19 +373,7 @@ class RadianceBSDF:
             wo = np.broadcast_to(wi, wo.shape)
         direction = DIRECTIONS[side, hemisphere]
         blocks = [self.blocks[name, direction] for name in self._names]
-        if self.rank is None:
-            rows = self.basis.patch(wo)
-            columns = incident_patch(theta_i, phi_i, self.basis)
-            parts = np.stack([block[rows, columns] for block in blocks], axis=-1)
-        else:
-            points = coordinates(self.rank, theta_i, phi_i, wo)
-            parts = np.stack([block.at(points) for block in blocks], axis=-1)
-            if len(blocks) == 3:  # luminance and chromaticity, u' and v' of CIE 1976
-                y, u, v = parts.T
-                v = np.where(v > 0, v, WHITE[1])
-                x, z = y * 9 * u / (4 * v), y * (12 - 3 * u - 20 * v) / (4 * v)
-                parts = np.stack([x, y, z], axis=-1)
-        return parts if len(blocks) == 1 else parts @ np.linalg.inv(XYZ).T
+        return self.basis.values(blocks, theta_i, phi_i, wo)
 
 
 def has_back(path: str | PathLike[str]) -> bool:

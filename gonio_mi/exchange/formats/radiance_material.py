@@ -7,6 +7,7 @@ from typing import Any, BinaryIO, cast
 
 import numpy as np
 
+from ...array_types import Floats
 from ...collector.borders import Borders
 from ...collector.directions import direction as unit_vectors
 from ...collector.hemisphere import Subdivision
@@ -18,9 +19,8 @@ from .radiance import (
     DIRECTIONS,
     OTHER,
     RadianceBSDF,
-    diffuse_total,
-    has_one_value,
 )
+from .tensor_tree import TensorTree
 
 # Rings of cells in which tensor trees are read at most, by their rank; tilted incident
 # directions of rank 4; fewest and most cells per axis of the square of exit.
@@ -47,7 +47,7 @@ def material(stream: BinaryIO, side: str) -> PatchMeans:
     notes = _reconciled(bsdf)
     held = [h for h in (0, 1) if bsdf.holds(side, h)]
     require(bool(held), f"it holds no light that meets its {side}")
-    means = _matrix_means if bsdf.rank is None else _tree_means
+    means = _matrix_means if bsdf.basis.rank is None else _tree_means
     found = means(bsdf, side, held)
     if bsdf.is_reciprocal(side, 1) and not notes:
         note = f"it tells the transmission of the {OTHER[side]} only, and that of the "
@@ -66,13 +66,13 @@ def _reconciled(bsdf: RadianceBSDF) -> tuple[str, ...]:
     if not all(("Visible", name) in bsdf.blocks for name in names.values()):
         return ()
     blocks = {side: bsdf.blocks["Visible", name] for side, name in names.items()}
-    totals = {side: diffuse_total(block) for side, block in blocks.items()}
+    totals = {side: bsdf.basis.diffuse_total(block) for side, block in blocks.items()}
     low, high = sorted(totals.values())
     if high - low <= MAX_UNEQUAL * high:
         return ()
     text = "its transmittances for diffuse light must be equal by reciprocity, but are "
     text += " and ".join(f"{t:.4g} from the {side}" for side, t in totals.items())
-    dummies = [side for side, block in blocks.items() if has_one_value(block)]
+    dummies = [side for side, block in blocks.items() if _has_one_value(block)]
     if len(dummies) != 1:
         return (f"{text}: each is taken as it is",)
     (dummy,) = dummies
@@ -82,9 +82,15 @@ def _reconciled(bsdf: RadianceBSDF) -> tuple[str, ...]:
     return (f"{text}taken from that of the {OTHER[dummy]}, by reciprocity",)
 
 
+def _has_one_value(block: Floats | TensorTree) -> bool:
+    """Whether a block has the same value for all pairs of directions."""
+    values = block.root if isinstance(block, TensorTree) else block
+    return not isinstance(values, list) and bool(np.all(values == values.flat[0]))
+
+
 def _matrix_means(bsdf: RadianceBSDF, side: str, held: Sequence[int]) -> PatchMeans:
     """Means over the patches of a Klems basis, of exit and of incidence."""
-    patches = bsdf.basis
+    patches = bsdf.basis.patches
     toward = [angle[:, 0] for angle in patches.middles]
     incident = theta_i, phi_i = np.degrees(toward)
     n = len(theta_i)
@@ -105,8 +111,8 @@ def _tree_means(bsdf: RadianceBSDF, side: str, held: Sequence[int]) -> PatchMean
     Rings of the square's cells have the same borders for incidence and for exit, equal
     steps of the sine. Along the normal it is the mean of the cells that touch it.
     """
-    rank = cast(int, bsdf.rank)
-    size = max(bsdf.size, MIN_CELLS)
+    rank = cast(int, bsdf.basis.rank)
+    size = max(bsdf.basis.size, MIN_CELLS)
     n_rings = min(size // 2, MAX_RINGS[rank])
     edges = np.degrees(np.arcsin(np.arange(n_rings + 1) / n_rings))
     patches = Borders(tuple(edges), tuple(np.linspace(0, 360, 8 * n_rings + 1)))

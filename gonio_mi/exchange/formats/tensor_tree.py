@@ -128,14 +128,17 @@ def coordinates(rank: int, theta_i: ArrayLike, phi_i: ArrayLike, wo: Floats) -> 
     sine, x, y = np.sin(theta), wo[:, 0], wo[:, 1]
     cos, sin = np.cos(flight), np.sin(flight)
     if rank == 3:
-        # normal incidence is the last of the half that is used
-        first = np.minimum((1 - sine) / 2, np.nextafter(0.5, 0.0))
-        first = np.broadcast_to(first, x.shape)[:, None]
+        first = np.broadcast_to(isotropic_coordinate(theta_i), x.shape)[:, None]
         x, y = x * cos + y * sin, y * cos - x * sin
     else:
         first = square_of(sine * cos, sine * sin)
         first = np.broadcast_to(first, (len(x), 2))
     return np.concatenate([first, square_of(x, y)], axis=1)
+
+
+def isotropic_coordinate(theta_i: ArrayLike) -> Floats:
+    """First coordinate of rank 3: normal incidence ends the half that is used."""
+    return np.minimum((1 - np.sin(np.radians(theta_i))) / 2, np.nextafter(0.5, 0.0))
 
 
 def isotropic_incidence(size: int, n: int) -> Floats:

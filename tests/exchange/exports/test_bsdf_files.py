@@ -20,13 +20,14 @@ from gonio_mi.collector.shirley_chiu import ShirleyChiu
 from gonio_mi.exchange.exports import exporting, radiance_export
 from gonio_mi.exchange.exports.bsdf_file import properties
 from gonio_mi.exchange.exports.loss import Loss, in_words
-from gonio_mi.exchange.formats import radiance, tensor_tree
+from gonio_mi.exchange.formats import radiance, radiance_basis, tensor_tree
 from gonio_mi.exchange.formats.radiance import RadianceBSDF
 from gonio_mi.materials import resampling
 from gonio_mi.specimen.specimen_text import parse_specimen
 
 KLEMS = Klems()
 OMEGA = KLEMS.projected_solid_angles
+FULL = radiance_basis.Basis.named("klems", 0)
 
 # Seven digits in the file, or six in its trees.
 DIGITS = 1e-6
@@ -93,11 +94,11 @@ def test_a_delta_lands_whole(tmp_path, monkeypatch, collector):
 
 def points_of_incidence(basis, theta_i):
     """Polar angles in radians of the points of incidence of the patch of an angle."""
-    rank, n = radiance_export.RANKS.get(basis), radiance_export.CELL_POINTS
+    rank, n = radiance_basis.RANKS.get(basis), radiance_export.CELL_POINTS
     if rank is None:
-        patches = radiance_export.KLEMS[basis]
-        points = patches.points(radiance_export.POINTS_IN)
-        return np.arccos(points[radiance.incident_patch(theta_i, 0, patches), :, 2])
+        own = radiance_basis.Basis.named(basis, 0)
+        points = own.patches.points(radiance_export.POINTS_IN)
+        return np.arccos(points[own.incident_patch(theta_i, 0), :, 2])
     size, up = radiance_export.TREE_SIZES[rank], np.array([[0, 0, 1.0]])
     place = tensor_tree.coordinates(rank, theta_i, 0.0, up)[0, : rank - 2]
     cell = tuple((place * size).astype(int))
@@ -135,7 +136,7 @@ def test_every_basis_keeps_the_light_of_narrow_lobes(tmp_path, monkeypatch, basi
     written = [loss.written for loss in losses]
     points = [points_of_incidence(basis, theta) for theta in theta_i]
     expected = [linear(one, theta_i, record.dhr[:, 0]).mean() for one in points]
-    digits = TREE_DIGITS if basis in radiance_export.RANKS else DIGITS
+    digits = TREE_DIGITS if basis in radiance_basis.RANKS else DIGITS
     assert np.allclose(written, expected, rtol=digits)
     assert not np.allclose(written, record.dhr[:, 0], rtol=0.1)
     assert all(0 <= loss.misplaced <= 1 for loss in losses)
@@ -249,7 +250,7 @@ def test_the_file_holds_what_was_measured(blind):
     assert light.keys() == set(radiance.DIRECTIONS.values())
     for (side, hemisphere), name in radiance.DIRECTIONS.items():
         record = records[side]
-        column = radiance.incident_patch(record.theta_i, record.phi_i)
+        column = FULL.incident_patch(record.theta_i, record.phi_i)
         flux = record.flux_fraction[:, hemisphere, :, 0, 0]
         assert np.allclose(light[name][:, column].T, flux, rtol=DIGITS, atol=1e-9)
 
@@ -273,7 +274,7 @@ def test_direct_light_is_in_one_patch(blind):
     for factor, passes in ((1, agree), (1.03, disagree)):
         t = (direct - factor * share)[known] / std_err[known]
         passes(verdict(normal_scores(t, record.n_batches - 1)))
-    there = radiance.incident_patch(record.theta_i, record.phi_i)[numbers]
+    there = FULL.incident_patch(record.theta_i, record.phi_i)[numbers]
     flux = record.flux_fraction[numbers, 1, there, 0, 0]
     assert (flux >= direct).all()
     # what was scattered any number of times leaves by the cosine law of a slat
@@ -497,8 +498,11 @@ def test_a_coloured_face_and_a_black_back(tmp_path):
         records = gonio.bsdf(paint, path, "klems-quarter", rays=256)
     assert records["back"].channels == ("Y",)
     file = loaded(path, RadianceBSDF)
-    wo = file.basis.points(1)[:, 0]
-    seen = file.values("front", 0, 40.0, 80.0, wo) * file.basis.projected_solid_angles
+    wo = file.basis.patches.points(1)[:, 0]
+    seen = (
+        file.values("front", 0, 40.0, 80.0, wo)
+        * file.basis.patches.projected_solid_angles
+    )
     # every ray has this weight; seven digits, and the matrices to XYZ and back
     assert np.allclose(seen.sum(axis=0), colour["value"], rtol=20 * DIGITS)
     assert (np.abs(file.values("back", 0, 40.0, 80.0, wo)) <= DIGITS).all()

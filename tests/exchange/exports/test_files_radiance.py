@@ -18,9 +18,14 @@ from gonio_mi.collector.klems import Klems
 from gonio_mi.collector.shirley_chiu import directions_of, square_of
 from gonio_mi.errors import FileFormatError
 from gonio_mi.exchange.exports import exporting, radiance_export
-from gonio_mi.exchange.exports.radiance_export import matrices, trees
-from gonio_mi.exchange.formats import radiance, radiance_material, tensor_tree
+from gonio_mi.exchange.formats import (
+    radiance,
+    radiance_basis,
+    radiance_material,
+    tensor_tree,
+)
 from gonio_mi.exchange.formats.radiance import OTHER, RadianceBSDF
+from gonio_mi.exchange.formats.radiance_basis import blocks_of
 from gonio_mi.exchange.formats.tensor_tree import TensorTree
 from gonio_mi.materials.resampling import Material
 from gonio_mi.results.record import XYZ
@@ -179,7 +184,7 @@ material polygon plate 0 0 12 -1 -1 0 1 -1 0 1 1 0 -1 1 0
 
 
 @pytest.mark.parametrize(
-    ("basis", "side"), [*zip(radiance.BASES, itertools.cycle(("front", "back")))]
+    ("basis", "side"), [*zip(radiance_basis.BASES, itertools.cycle(("front", "back")))]
 )
 @pytest.mark.usefixtures("rgb", "coarse")
 def test_radiance_renders_what_was_written(tmp_path, glossy, basis, side):
@@ -235,7 +240,7 @@ def written(path, blocks):
 
 
 def random_block(basis, size=4, seed=8):
-    rank = radiance.RANKS.get(basis)
+    rank = radiance_basis.RANKS.get(basis)
     values = np.random.default_rng(seed).uniform(
         0.1, 0.3, (41, 41) if rank is None else (size,) * rank
     )
@@ -452,9 +457,8 @@ def test_colours_come_back(kind):
     shape = {"klems": (145, 145), "tensor3": (4,) * 3, "tensor4": (4,) * 4}[kind]
     values = 0.1 + rng.random((*shape, 3))
     name = "Transmission Front"
-    make = matrices if kind == "klems" else trees
     stream = io.BytesIO()
-    radiance.write(make(values, name), stream)
+    radiance.write(blocks_of(values, name), stream)
     stream.seek(0)
     own = RadianceBSDF(stream)
     assert own.channels == ("R", "G", "B")
@@ -465,7 +469,7 @@ def test_colours_come_back(kind):
     theta_i, phi_i = rng.uniform(0, 89, 500), rng.uniform(0, 360, 500)
     seen = own.values("back", 1, theta_i, phi_i, v)
     if kind == "klems":
-        index = Klems().patch(v), radiance.incident_patch(theta_i, phi_i)
+        index = Klems().patch(v), own.basis.incident_patch(theta_i, phi_i)
     else:
         points = tensor_tree.coordinates(len(shape), theta_i, phi_i, v)
         index = tuple((points * 4).astype(int).T)
@@ -498,7 +502,7 @@ def test_entities_are_not_expanded(encoding):
 
 
 def test_a_colour_that_lacks_a_component_is_refused():
-    blocks = matrices(np.ones((145, 145, 3)), "Reflection Back")
+    blocks = blocks_of(np.ones((145, 145, 3)), "Reflection Back")
     del blocks["Visible", "Reflection Back"]
     blocks["Visible", "Transmission Back"] = np.ones((145, 145))
     stream = io.BytesIO()

@@ -24,6 +24,7 @@ from gonio_mi.collector.directions import direction
 from gonio_mi.collector.klems import Klems
 from gonio_mi.exchange.exports import exporting, measured_export, radiance_export
 from gonio_mi.exchange.formats import radiance
+from gonio_mi.exchange.formats.radiance_basis import Basis
 from gonio_mi.materials.interpolation import interpolated_bsdf, lobes
 
 # Not in their order.
@@ -205,7 +206,7 @@ def test_a_klems_file_is_a_material(tmp_path):
         # middles of rings, at azimuths that are in the middle of their patches too
         for theta_i, phi_i in ((10, 45), (40, 15), (70, 90), (82.5, 30)):
             seen = values(bsdf, wo * signs, theta_i, phi_i, sign)[:, 0]
-            column = radiance.incident_patch(theta_i, phi_i)
+            column = Basis.named("klems", 0).incident_patch(theta_i, phi_i)
             expected = blocks["Visible", name][:, column]
             # neighbours that single precision mixes in: gaps of sines and azimuths
             gaps = np.sin(np.radians(82.5)) - np.sin(np.radians(70)), 15 / phi_i
@@ -223,7 +224,7 @@ def test_all_directions_of_an_incident_patch_have_its_column(tmp_path):
     wo = direction(*(angle[:, 0] for angle in klems.middles))
     for theta_i, phi_i in ((2, 100), (18, 22), (26.9, 23), (44, 15.5), (89, 337)):
         seen = values(bsdf, wo, theta_i, phi_i)[:, 0]
-        expected = matrix[:, radiance.incident_patch(theta_i, phi_i, klems)]
+        expected = matrix[:, Basis.of(matrix).incident_patch(theta_i, phi_i)]
         assert (np.abs(seen - expected) <= ROUNDING * expected).all()
 
 
@@ -244,7 +245,7 @@ def test_patches_measured_again_are_the_same(tmp_path, kind):
     if kind == "record":  # whose light filled its incident patches
         again.save(tmp_path / "slats.npz")
         again = gonio.measure(material(tmp_path / "slats.npz"), **same)
-    column = radiance.incident_patch(again.theta_i, again.phi_i, klems)
+    column = Basis.of(straight).incident_patch(again.theta_i, again.phi_i)
     flux = again.flux_fraction[:, 1, :, 0, 0]
     expected = np.diag(np.linspace(0.2, 0.6, 41))[:, column].T
     # seven digits of the file, and edges of patches in single precision
