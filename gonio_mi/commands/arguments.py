@@ -323,8 +323,9 @@ def add_table_options(group: Group) -> None:
     text += "brdf, brdf_cos, btdf or reflectance_factor."
     add_text(group, "--quantity", "Q", text)
     text = "Column of theta_i, phi_i, theta_o, phi_o, delta_phi, value, sigma or "
-    text += "wavelength. ROLE=NAME:rad for an angle in radians, ROLE=0 for a number "
-    text += "that holds for all rows, such as theta_i=30."
+    text += "wavelength. ROLE=NAME:rad for an angle in radians, and so :um or :%%, "
+    text += "sigma=NAME:k=2 for an expanded uncertainty, ROLE=0 for a number that "
+    text += "holds for all rows, such as theta_i=30."
     how: dict[str, Any] = {"nargs": "+", "action": "extend", "type": pair}
     add_text(group, "--columns", "ROLE=NAME", text, **how)
     text = "Zero of azimuths of exit that are relative to incidence: source or mirror "

@@ -171,7 +171,7 @@ def read(stream: BinaryIO) -> Scatter:
             f"its exits for incidence at {theta_i:g} degrees form no grid over the "
             "hemisphere: it is a table to compare with, but no material",
         )
-        turned = np.mod(azimuth + 180, 360)  # here the mirror direction is 0
+        turned = _from_the_other_side(azimuth)
         order = np.argsort(turned)
         if theta_i < 90 - ANGLE_TOLERANCE:
             values = grid[:, order]
@@ -197,7 +197,7 @@ def write(scatter: Scatter, stream: BinaryIO, name: str) -> None:
     for number in np.argsort(nm).tolist():
         wavelength = float(f"{nm[number] * 1e-9:.9g}")
         for block in sorted(scatter.of(0), key=lambda b: b.theta_i):
-            azimuth = np.mod(block.azimuth + 180, 360)
+            azimuth = _from_the_other_side(block.azimuth)
             order = np.argsort(azimuth, kind="stable")
             for polar, row in zip(block.polar, block.values[..., number]):
                 table += [
@@ -211,6 +211,11 @@ def write(scatter: Scatter, stream: BinaryIO, name: str) -> None:
     brdf = {"wavelengths": wavelengths, "lookupTable": table}
     content = {"$schema": SCHEMA, "metadata": metadata, "brdf": brdf}
     stream.write(json.dumps(content, allow_nan=False).encode())
+
+
+def _from_the_other_side(azimuth: Floats) -> Floats:
+    """Azimuths from the mirror direction of azimuths from the source, and back."""
+    return np.mod(azimuth + 180, 360)
 
 
 def _radians(degrees: float) -> float:

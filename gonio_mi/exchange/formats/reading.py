@@ -7,7 +7,7 @@ import pkgutil
 from collections.abc import Iterator, Mapping
 from os import PathLike
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
@@ -102,16 +102,12 @@ def read_scatter(path: str | PathLike[str]) -> Scatter:
         If it is damaged or something else: one sentence.
     """
     with open(path, "rb") as stream, _named(f"cannot load {path}"):
-        return _scatter(format_of(path), stream, path)
-
-
-def _scatter(known: Format | None, stream: BinaryIO, path: object) -> Scatter:
-    """Grids of a file, or a sentence."""
-    if known is not None and known.refused:
-        raise FileFormatError(known.refused.format(path=path))
-    if known is None or known.scatter is None:
-        raise FileFormatError("it is a table to compare with, not a material")
-    return known.scatter(stream)
+        known = format_of(path)
+        if known is not None and known.refused:
+            raise FileFormatError(known.refused.format(path=path))
+        if known is None or known.scatter is None:
+            raise FileFormatError("it is a table to compare with, not a material")
+        return known.scatter(stream)
 
 
 def load_material(
@@ -147,10 +143,12 @@ def load_material(
     if not Path(path).exists():
         raise FileNotFoundError(no_file(path))
     known = format_of(path)
+    if known is None or known.material is None:
+        scatter = read_scatter(path)
+        with _named(f"cannot load {path}"):
+            return scatter_means(scatter)
     with open(path, "rb") as stream, _named(f"cannot load {path}"):
-        if known is not None and known.material is not None:
-            return known.material(stream, side)
-        return scatter_means(_scatter(known, stream, path))
+        return known.material(stream, side)
 
 
 def read_measured(
@@ -204,8 +202,9 @@ def read_measured(
         What the values are, if the file does not say it.
     columns : mapping of str, optional
         Name of the column, or a number, for ``theta_i``, ``phi_i``, ``theta_o``,
-        ``phi_o``, ``delta_phi``, ``value``, ``sigma`` or ``wavelength``; ``:rad`` or
-        ``:deg`` after the name of an angle says its unit.
+        ``phi_o``, ``delta_phi``, ``value``, ``sigma`` or ``wavelength``; a unit after
+        it as in ``:rad``, ``:um`` or ``:%``, of `sigma` also ``:rel``, ``:abs`` or
+        ``:k=2``, says what the name does not.
     azimuth : {"specimen", "source", "mirror"}, optional
         What azimuths of exit are counted from, counter-clockwise: from +x as those of
         incidence are, from the side of the source, or from that of the mirror
@@ -247,21 +246,19 @@ def read_measured(
     if quantity not in (None, "brdf", *(() if known.reflection_only else ("btdf",))):
         held = "brdf" if known.reflection_only else "brdf or btdf"
         raise SettingError(f"{path} holds {held}, got the quantity {shown(quantity)}")
-    with open(path, "rb") as stream:
-        if known.points is not None:
-            with _named(path):
-                points = known.points(stream, quantity)
-        else:
-            with _named(f"cannot load {path}"):
-                scatter = _scatter(known, stream, path)
-            names = [name for h, name in enumerate(QUANTITIES) if scatter.of(h)]
-            quantity = names[0] if quantity is None and len(names) == 1 else quantity
-            if quantity is None or quantity not in names:
-                raise SettingError(
-                    f"{path} holds {' and '.join(names)}: say --quantity "
-                    f"{' or '.join(names)}"
-                )
-            points = scatter.points(quantity)
+    if known.points is not None:
+        with open(path, "rb") as stream, _named(path):
+            points = known.points(stream, quantity)
+    else:
+        scatter = read_scatter(path)
+        names = [name for h, name in enumerate(QUANTITIES) if scatter.of(h)]
+        quantity = names[0] if quantity is None and len(names) == 1 else quantity
+        if quantity is None or quantity not in names:
+            raise SettingError(
+                f"{path} holds {' and '.join(names)}: say --quantity "
+                f"{' or '.join(names)}"
+            )
+        points = scatter.points(quantity)
     channel = chosen_channel(path, points.channels, channel)
     values = points.values[:, points.channels.index(channel)]
     rows = ~(np.isnan(values) & points.partial)

@@ -110,7 +110,7 @@ def _read_anisotropic(rows: Lines, header: dict[str, str]) -> Scatter:
         reference, own, parts_of_one = spectra[hemisphere]
         # of transmission the spectrum may have other wavelengths
         percentages = np.interp(nm, own, parts_of_one)
-        incidences = [(float(t), float(-a % 360)) for a, t in directions[hemisphere]]
+        incidences = [(float(t), _anisotropy(a)) for a, t in directions[hemisphere]]
         unscaled = [_block(rows, kind, one, hemisphere) for one in incidences]
         # nothing meets a surface at 90 degrees
         unscaled = [block for block in unscaled if block.theta_i < 90]
@@ -138,6 +138,18 @@ def _scale(blocks: Sequence[Block], reference: Floats) -> float:
     return float(np.interp(reference[0], angles, 1 / totals))
 
 
+def _from_the_other_normal(
+    polar: Floats, values: Floats, hemisphere: int
+) -> tuple[Floats, Floats]:
+    """Rows of transmission by angles from the other normal, and back."""
+    return (180 - polar[::-1], values[::-1]) if hemisphere else (polar, values)
+
+
+def _anisotropy(azimuth: float) -> float:
+    """Anisotropy angle of an azimuth of incidence, and back."""
+    return float(-azimuth % 360)
+
+
 def _block(
     rows: Lines, kind: int, incident: tuple[float, float], hemisphere: int
 ) -> Block:
@@ -147,8 +159,7 @@ def _block(
     azimuth = rows.numbers(n_azimuth)
     table = np.array([rows.numbers(n_azimuth + 1) for _ in range(n_polar)])
     theta, values = table[:, 0], table[:, 1:]
-    polar = 180 - theta[::-1] if hemisphere else theta
-    values = values[::-1] if hemisphere else values
+    polar, values = _from_the_other_normal(theta, values, hemisphere)
     require(
         len(polar) > 0 and polar[0] >= -1e-9 and polar[-1] <= 90 * (1 + 1e-9),
         f"line {rows.number}: polar angles must be within one hemisphere",
@@ -223,7 +234,7 @@ def write_anisotropic(scatter: Scatter, stream: BinaryIO, comment: str) -> None:
         blocks = scatter.of(hemisphere)
         by_angle: dict[float, list[Block]] = {}
         for block in blocks:
-            by_angle.setdefault(-block.phi_i % 360, []).append(block)
+            by_angle.setdefault(_anisotropy(block.phi_i), []).append(block)
         lines += [str(len(by_angle)), _row(sorted(by_angle))]
         for angle in sorted(by_angle):
             by_angle[angle].sort(key=lambda block: block.theta_i)
@@ -257,8 +268,7 @@ def _beginning(head: str, comment: str) -> list[str]:
 
 def _table(block: Block, values: Floats) -> list[str]:
     """Rows of one table."""
-    polar = 180 - block.polar[::-1] if block.hemisphere else block.polar
-    values = values[::-1] if block.hemisphere else values
+    polar, values = _from_the_other_normal(block.polar, values, block.hemisphere)
     lines = [_row([len(polar), len(block.azimuth)]), "\t" + _row(block.azimuth)]
     return [*lines, *(_row([angle, *row]) for angle, row in zip(polar, values))]
 

@@ -27,8 +27,9 @@ from .scatter import Block, Scatter, total_of
 
 AXES = ("SampleRotation", "AngleOfIncidence", "ScatterAzimuth", "ScatterRadial")
 WORDS = ("Source", "Symmetry", "SpectralContent", "ScatterType")
+PLANE_SYMMETRICAL, GREY, KINDS = "PlaneSymmetrical", "Monochrome", ("BRDF", "BTDF")
 SPECTRA = {
-    "Monochrome": ("Monochrome",),
+    GREY: (GREY,),
     "XYZ": ("TristimulusX", "TristimulusY", "TristimulusZ"),
 }
 
@@ -44,10 +45,10 @@ def read(stream: BinaryIO) -> Scatter:
     lines = Lines(stream, comment="#")
     words, axes = _header(lines)
     kind = words["ScatterType"].upper()
-    require(kind in ("BRDF", "BTDF"), f"its ScatterType is {kind:.20}")
+    require(kind in KINDS, f"its ScatterType is {kind:.20}")
     spectrum = words["SpectralContent"]
     require(spectrum in SPECTRA, f"its SpectralContent is {spectrum:.20}")
-    symmetric = words["Symmetry"].lower() == "planesymmetrical"
+    symmetric = words["Symmetry"].lower() == PLANE_SYMMETRICAL.lower()
     n = [len(axes[name]) for name in AXES]
     n_values = check_size(*n, len(SPECTRA[spectrum]))
     # a number takes two bytes at least
@@ -76,7 +77,7 @@ def read(stream: BinaryIO) -> Scatter:
         Block(
             theta_i=float(axes["AngleOfIncidence"][incidence]),
             phi_i=float(axes["SampleRotation"][rotation]),
-            hemisphere=int(kind == "BTDF"),
+            hemisphere=KINDS.index(kind),
             polar=axes["ScatterRadial"],
             azimuth=azimuths,
             values=np.moveaxis(values[:, rotation, incidence], 0, -1),
@@ -85,7 +86,7 @@ def read(stream: BinaryIO) -> Scatter:
         )
         for rotation, incidence in np.ndindex(n[0], n[1])
     ]
-    channels = ("Y",) if spectrum == "Monochrome" else ("X", "Y", "Z")
+    channels = ("Y",) if spectrum == GREY else ("X", "Y", "Z")
     comment = abridged("; ".join(filter(None, lines.comments)), 2000)
     notes = ("angles of exit count from the specular direction",)
     return Scatter(blocks, channels, {"comment": comment} if comment else {}, notes)
@@ -107,18 +108,15 @@ def write(scatter: Scatter, stream: BinaryIO, comment: str) -> None:
     incidences = sorted({block.theta_i for block in scatter.blocks})
     by_angles = {(block.phi_i, block.theta_i): block for block in scatter.blocks}
     symmetry = "Asymmetrical" if len(rotations) == 1 else "Asymmetrical4D"
-    lines = [
-        f"# {' '.join(comment.split())}",
-        "Source  Measured",
-        f"Symmetry  {'PlaneSymmetrical' if first.holds_one_side else symmetry}",
-        "SpectralContent  Monochrome",
-        f"ScatterType  {('BRDF', 'BTDF')[first.hemisphere]}",
-    ]
+    symmetry = PLANE_SYMMETRICAL if first.holds_one_side else symmetry
+    words = "Measured", symmetry, GREY, KINDS[first.hemisphere]
+    lines = [f"# {' '.join(comment.split())}"]
+    lines += [f"{key}  {word}" for key, word in zip(WORDS, words)]
     grid: list[Sequence[float]] = [rotations, incidences]
     grid += [first.azimuth.tolist(), first.polar.tolist()]
     for name, angles in zip(AXES, grid):
         lines += [f"{name}  {len(angles)}", "\t".join(f"{a:.9g}" for a in angles)]
-    lines += ["", "Monochrome", "DataBegin"]
+    lines += ["", GREY, "DataBegin"]
     for rotation in rotations:
         for incidence in incidences:
             block = by_angles[rotation, incidence]

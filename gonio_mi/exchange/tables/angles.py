@@ -6,12 +6,10 @@ from typing import Any
 import numpy as np
 
 from ...array_types import Floats
-from .names import ANGLES, Column
+from .names import ANGLES, FACTOR_OF, Column
 
 # What azimuths of exit count from.
 AZIMUTHS = ("specimen", "source", "mirror")
-
-DEGREES = {"deg": 1.0, "": 1.0, "rad": float(np.degrees(1.0))}
 
 # Angles that are at most this large may be radians if no unit is specified, unless all
 # are whole numbers, up to a rounding.
@@ -53,7 +51,7 @@ def in_degrees(
 ) -> dict[str, Floats]:
     """Angles of the columns in degrees, by role; see :func:`unit_questions`."""
     angles = [role for role in ANGLES if role in picked]
-    return {role: arrays[role] * DEGREES[picked[role].unit] for role in angles}
+    return {role: arrays[role] * FACTOR_OF[picked[role].unit] for role in angles}
 
 
 def directions(

@@ -10,21 +10,29 @@ from dataclasses import dataclass
 ANGLES = ("theta_i", "phi_i", "theta_o", "phi_o", "delta_phi")
 ROLES = (*ANGLES, "value", "sigma", "wavelength")
 
-# Units as they are written, in small letters without blanks, powers and brackets.
+# Factor of each unit to ours, and how it is written, in small letters without blanks,
+# powers and brackets.
 UNITS = {
-    "deg": "deg degree degrees ° º",
-    "rad": "rad radian radians",
-    "1/sr": "1/sr sr-1 /sr",
-    "1/msr": "1/msr msr-1 /msr",
-    "%": "% percent pct",
-    "%/sr": "%/sr %sr-1 percent/sr percentsr-1 pct/sr pctsr-1",
-    "1": "1 - none unitless",
-    "nm": "nm nanometer nanometers nanometre nanometres",
-    "um": "um µm μm micron microns",
-    "m": "m meter meters metre metres",
+    "deg": (1.0, "deg degree degrees ° º"),
+    "rad": (math.degrees(1.0), "rad radian radians"),
+    "1/sr": (1.0, "1/sr sr-1 /sr"),
+    "1/msr": (1e3, "1/msr msr-1 /msr"),
+    "%": (0.01, "% percent pct"),
+    "%/sr": (0.01, "%/sr %sr-1 percent/sr percentsr-1 pct/sr pctsr-1"),
+    "1": (1.0, "1 - none unitless"),
+    "nm": (1.0, "nm nanometer nanometers nanometre nanometres"),
+    "um": (1e3, "um µm μm micron microns"),
+    "m": (1e9, "m meter meters metre metres"),
 }
-UNIT_OF = {written: unit for unit, words in UNITS.items() for written in words.split()}
-VALUE_UNITS = ("", "1/sr", "1/msr", "%", "%/sr", "1")
+UNIT_OF = {word: unit for unit, (_, words) in UNITS.items() for word in words.split()}
+FACTOR_OF = {"": 1.0} | {unit: factor for unit, (factor, _) in UNITS.items()}
+
+# Units that a column may have, by its role.
+UNITS_OF = {
+    **dict.fromkeys(ANGLES, ("deg", "rad")),
+    **dict.fromkeys(("value", "sigma"), ("1/sr", "1/msr", "%", "%/sr", "1")),
+    "wavelength": ("nm", "um", "m"),
+}
 
 # Words by their meaning, of which there may be two.
 ALIASES = {
@@ -121,8 +129,8 @@ class Column:
     channel : str
         Of values and uncertainties, such as ``"550nm"``, if the name has it.
     coverage : float
-        By which uncertainties are divided: 2 for an expanded one of k = 2; NaN if a
-        number in the name leaves it open.
+        By which uncertainties are divided: 2 for an expanded one of k = 2; NaN if the
+        name leaves it open, as ``U`` and ``U_90`` do.
     kind : str
         Of uncertainties ``"rel"``, relative to the values, or ``"abs"``; empty if the
         name has neither; ``"?"`` if its % may be that of a level.
@@ -149,14 +157,16 @@ def recognised(name: str) -> Column | None:
     numbers = {word for word in words if word[0].isdigit()}
     if "u" in words and words - numbers <= IN_SIGMAS:
         expanded = re.search(r"(?i:expanded)|\bU(?![^\W_])", name)
-        coverage = math.nan if numbers else coverage or (2.0 if expanded else 1.0)
+        is_open = numbers or (expanded and not coverage)
+        coverage = math.nan if is_open else coverage or 1.0
         kind = "abs" if "abs" in words or unit in ("1/sr", "1/msr", "%/sr") else level
         kind = "rel" if "rel" in words else kind
         return Column(name, "sigma", unit, "", channel, coverage, kind)
     quantities = [QUANTITY_OF[word] for word in words & {*QUANTITY_OF}]
     cosine = {"cos", "brdf"} <= words
+    value_units = "", *UNITS_OF["value"]
     known = words <= (IN_COSINES if cosine else IN_VALUES)
-    if coverage or not known or len(quantities) > 1 or unit not in VALUE_UNITS:
+    if coverage or not known or len(quantities) > 1 or unit not in value_units:
         return None
     if quantities or "value" in words or (channel and not words):
         quantity = "brdf_cos" if cosine else "".join(quantities)

@@ -30,18 +30,25 @@ from ...files.numbers import decimal, decimals, is_decimal, without_degrees
 from ...results.record import chosen_channel
 from .angles import (
     AZIMUTHS,
-    DEGREES,
     azimuth_question,
     directions,
     in_degrees,
     unit_questions,
 )
-from .names import ANGLES, ROLES, Column, coverage_of, recognised, unit_in
+from .names import (
+    ANGLES,
+    FACTOR_OF,
+    ROLES,
+    UNITS_OF,
+    Column,
+    coverage_of,
+    recognised,
+    unit_in,
+    unit_of,
+)
 from .text import TextTable, split_text
 
-NM = {"": 1.0, "nm": 1.0, "um": 1e3, "m": 1e9}
 KINDS = {"rel": "relative", "abs": "absolute"}
-PARTS = {"%": 0.01, "%/sr": 0.01, "1/msr": 1e3}
 
 # Channels that columns of values may have for their whole name.
 COLOURS = ("R", "G", "B")
@@ -53,7 +60,7 @@ MISSING_CODES = (-99, -999, -9999)
 # A wavelength that is a column's is at most this far in nm from the one asked for.
 WAVELENGTH_ROUNDING = 1e-6
 
-# Wavelengths below this without a unit are micrometres: no light has so few nm.
+# Wavelengths below this need a unit: no light has so few nm.
 MIN_NM = 20
 
 # Degrees from 90 within which a direction is the horizon: that of 1.5708 rad is.
@@ -186,10 +193,11 @@ class _Reading:
         names = [own.strip().lower() for own in self.text.names]
         whole = word.strip().lower() in names
         name, _, suffix = (word, "", "") if whole else word.partition(":")
-        if suffix not in ("", "deg", "rad", *KINDS):
+        unit, factor = unit_of(suffix), re.fullmatch(r"k=([0-9]+(?:\.[0-9]+)?)", suffix)
+        if suffix and not (unit or suffix in KINDS or factor):
             raise SettingError(
-                f"columns must give angles in deg or rad, and sigma as rel or abs, got "
-                f"{shown(word)}"
+                "columns must give a unit such as deg or um, or of sigma rel, abs or "
+                f"k=2, got {shown(word)}"
             )
         self.known = [None if c and c.role == role else c for c in self.known]
         if name.strip().lower() in names:
@@ -198,16 +206,17 @@ class _Reading:
             column = recognised(own) or Column(own, role, unit_in(own))
             if column.kind == "?" and suffix == "abs":  # its % is that of a level
                 column = replace(column, unit="")
+            # a specified sigma is a standard uncertainty unless k is said
+            coverage = 1.0 if np.isnan(column.coverage) else column.coverage
             self.known[index] = replace(
                 column,
                 role=role,
-                unit=suffix if suffix in DEGREES and suffix else column.unit,
+                unit=unit or column.unit,
                 kind=suffix if suffix in KINDS else column.kind,
-                # a specified sigma is a standard uncertainty unless its name says k
-                coverage=1.0 if np.isnan(column.coverage) else column.coverage,
+                coverage=float(factor[1]) if factor else coverage,
             )
         elif is_decimal(name) and role != "value":
-            self.constants[role] = decimal(name) * DEGREES.get(suffix, 1.0)
+            self.constants[role] = decimal(name) * FACTOR_OF[unit]
         else:
             raise SettingError(
                 f"columns must name columns of {self.place} "
@@ -224,10 +233,10 @@ class _Reading:
         self._check_clear(by_role)
         self.picked = {role: columns[0] for role, columns in by_role.items() if columns}
         for role, column in self.picked.items():
-            if role in ANGLES and column.unit not in DEGREES:
+            if column.unit not in ("", *UNITS_OF[role]):
                 raise FileFormatError(
-                    f"{self.place}: the angle {role} must be in deg or rad, got "
-                    f"{shown(column.name.strip(), 60)}"
+                    f"{self.place}: {role} must be in {' or '.join(UNITS_OF[role])}, "
+                    f"got {shown(column.name.strip(), 60)}"
                 )
 
     def _pick_channel(self, by_role: dict[str, list[Column]]) -> None:
@@ -356,10 +365,13 @@ class _Reading:
         """Keep the rows of one wavelength of a column of them, or ask for it."""
         channel = self.specified.channel
         unit = self.picked["wavelength"].unit if "wavelength" in self.picked else ""
-        nm = self.arrays.pop("wavelength") * NM.get(unit, 1.0)
+        nm = self.arrays.pop("wavelength") * FACTOR_OF[unit]
         if not unit and nm.max() < MIN_NM:
-            nm = nm * NM["um"]
-            self.notes.append("wavelengths without a unit are taken for micrometres")
+            self.questions.append(
+                f"wavelengths up to {nm.max():.4g} have no unit: say --columns "
+                "wavelength=NAME:um"
+            )
+            return
         names = {f"{one:.10g}nm": one for one in np.unique(nm)}
         if channel is None and len(names) > 1:
             self.questions.append(_channel_question(list(names)))
@@ -435,7 +447,7 @@ class _Reading:
     def _values(self, quantity: str) -> dict[str, Any]:
         """Values and their absolute standard uncertainties."""
         unit, panel = self.picked["value"].unit, self._panel(quantity)
-        part = PARTS.get(unit, 1.0)
+        part = FACTOR_OF[unit]
         if part != 1:
             whole = "1" if unit == "%" else "1/sr"
             self.notes.append(f"values in {unit}: {1 / part:g} {unit} is {whole}")
@@ -448,15 +460,15 @@ class _Reading:
         its = f"the uncertainty {name!r:.40}"
         say = f"say --columns sigma='{name}"
         if np.isnan(coverage):
-            factor = "may be expanded: give its name the factor, such as k=2"
-            self.questions.append(f"{its} {factor}, or {say}' if it is standard")
+            standard = f"or sigma='{name}' if it is standard"
+            self.questions.append(f"{its} may be expanded: {say}:k=2', {standard}")
         both = column.unit in ("%", "1") and unit == column.unit
         if column.kind == "?" or (both and not column.kind):
             those = f"and the values are in {unit}" if both else "may be in %"
             relative = ":rel' if it is relative to each value (or :abs)"
             self.questions.append(f"{its} {those}: {say}{relative}")
         kind = column.kind or ("rel" if column.unit in ("%", "1") else "abs")
-        own = PARTS.get(column.unit, 1.0)
+        own = FACTOR_OF[column.unit]
         if kind == "rel":
             sigma = sigma * own * np.abs(values)
         else:

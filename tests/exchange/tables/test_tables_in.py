@@ -149,7 +149,10 @@ def test_columns_can_be_said(tmp_path):
     for said, message in (
         ({"theta": "a"}, "columns must name theta_i"),
         ({"theta_i": "z"}, r"columns of .*table.txt \(a, b, c, x\), got 'z'"),
-        ({"theta_i": "a:grad"}, "angles in deg or rad"),
+        ({"theta_i": "a:grad"}, "a unit such as deg or um, .*, got 'a:grad'"),
+        ({"theta_i": "a:um"}, "theta_i must be in deg or rad"),
+        ({"value": "x:nm"}, "value must be in 1/sr or 1/msr or % or %/sr or 1"),
+        ({"sigma": "c:k="}, "of sigma rel, abs or k=2, got 'c:k='"),
     ):
         with pytest.raises(ValueError, match=message):
             gonio.read_measured(path, quantity="brdf", columns=columns | said)

@@ -19,6 +19,9 @@ PLANE = (45, 0, 30, 180)
 HEAD = "theta_i;phi_i;theta_o;phi_o;"
 ROW = "45;0;30;180;"
 
+# Roles of which the user says the column.
+SAID = "sigma", "value", "wavelength"
+
 # Columns behind those of the plane, or, between commas, all of them, below a title and
 # //; rows, where .. is the plane; what the user says; the directions, if they are
 # others, BSDF and standard uncertainty.
@@ -37,7 +40,7 @@ BRDF;uncertainty % | ..0.4;5 | | 0.4, 0.02
 BRDF;uncertainty (95 %) | ..0.4;0.0196 | | 0.4, 0.01
 BRDF;2 sigma | ..0.4;0.02 | | 0.4, 0.01
 BRDF;BRDF 2σ [1/sr] | ..0.4;0.02 | | 0.4, 0.01
-BRDF;expanded uncertainty | ..0.4;0.02 | | 0.4, 0.01
+BRDF;expanded uncertainty | ..0.4;0.02 | sigma=expanded uncertainty:k=2 | 0.4, 0.01
 BRDF;RSD [%] | ..0.4;5 | | 0.4, 0.02
 BRDF;rel. unc. | ..0.4;0.05 | | 0.4, 0.02
 BRDF;u_c / sr^-1 | ..0.4;0.02 | | 0.4, 0.02
@@ -74,7 +77,11 @@ reference panel: reflectance 0.98 // BRF | ..0.5 | panel_reflectance=1 | 0.5 / P
 reference panel: reflectance 0.98 // BRDF | ..0.5 | | 0.5
 Reflectance factors to reference panel 2, 8 deg // BRF | ..0.5 | | 0.5 / PI
 all k=2 // BRDF;u_rel [%] (k=1) | ..0.4;5 | | 0.4, 0.02
-Unsicherheit k=2;;;;; // BRDF;U [%] | ..0,4;5 | | 0.4, 0.01
+Unsicherheit k=2;;;;; // BRDF;U [%] | ..0,4;5 | sigma=U [%]:k=2 | 0.4, 0.01
+BRDF;U | ..0.4;0.02 | sigma=U | 0.4, 0.02
+BRDF;U_90 | ..0.4;0.0329 | sigma=U_90:k=1.645 | 0.4, 0.02
+BRDF;spread | ..0.4;5 | sigma=spread:% | 0.4, 0.02
+Messwert | ..40 | value=Messwert:%/sr; quantity=brdf | 0.4
 Spectralon 99% tile // BRDF;u | ..0.4;0.02 | | 0.4, 0.02
 Reflectance factor at 633 nm // value | ..0.95 | | 0.95 / PI
 brdf | 45;0;10;-999;0.1 / -99;0;10;0;0.1 / ..0.4 | | 0.4
@@ -89,7 +96,9 @@ BRDF | 45;0;30;−180;0.4 | | 0.4
 brf | 45;0;10;180;-999 / ..0.95 | | 0.95 / PI
 brf | 45;0;10;180;n/a / ..0.95 | | 0.95 / PI
 wavelength [µm];BRDF | ..0.55;0.4 / ..0.65;0.2 | channel=550 | 0.4
-wavelength;BRDF | ..0.55;0.4 / ..0.65;0.2 | channel=550nm | 0.4
+wavelength;BRDF | ..0.55;0.4 / ..0.65;0.2 | \
+    channel=550nm; wavelength=wavelength:um | 0.4
+wavelength;BRDF | ..550;0.4 / ..650;0.2 | channel=550nm | 0.4
 BTDF | ..0.4 | | 45, 0, 150, 180, 0.4
 BTDF | 45;0;150;180;0.4 | | 45, 0, 150, 180, 0.4
 BRDF | 45;180;-30;180;0.4 / 45;180;30;0;0.3 | azimuth=specimen | 45, 180, 30, 0, 0.4
@@ -210,7 +219,12 @@ OPEN = """
 BRDF;U;k | ..0.4;0.02;3 | 'U' may be expanded
 BRDF_s;BRDF_p | ..0.4;0.3 | must be value .*'BRDF_s', 'BRDF_p'
 BRDF;U_90 | ..0.4;0.1 | \
-    'U_90' may be expanded: .* such as k=2, or say --columns sigma='U_90'
+    'U_90' may be expanded: say --columns sigma='U_90:k=2', or sigma='U_90' if it is st
+BRDF;U | ..0.4;0.02 | 'U' may be expanded: say --columns sigma='U:k=2'
+BRDF;expanded uncertainty | ..0.4;0.02 | may be expanded
+Unsicherheit k=2;;;;; // BRDF;U [%] | ..0,4;5 | may be expanded
+wavelength;BRDF | ..0.55;0.4 / ..0.65;0.2 | \
+    wavelengths up to 0.65 have no unit: say --columns wavelength=NAME:um
 BRDF;u 2 | ..0.4;0.1 | 'u 2' may be expanded
 BRDF;u(BRDF)*2 | ..0.4;0.1 | may be expanded
 BRDF;u(BRDF)*2 (k=3) | ..0.4;0.1 | may be expanded
@@ -223,7 +237,7 @@ BRDF sample 2 | ..0.4 | it has 'BRDF sample 2'.: say --columns value=
 GGX;Beckmann | ..0.4;0.3 | be value .it has 'GGX', 'Beckmann'.: say --columns value=NAME
 550nm | ..1 | say --quantity brdf,
 uncertainties with k=2 // BRDF;uncertainty | ..0.4;0.02 | \
-    'uncertainty' may be expanded: .* say --columns sigma='uncertainty' if
+    'uncertainty' may be expanded: .* or sigma='uncertainty' if it is standard
 # k: 3 // BRDF;U | ..0.4;0.02 | 'U' may be expanded
 Reflectance of the reference panel: 98,0 % // BRF;u | ..0.4;0.02 | say --panel-refl
 # panel reflectance at 550 nm = 0.98 // BRF;u | ..0.4;0.02 | 1 if the values hold
@@ -321,7 +335,7 @@ def written(columns, rows):
 def test_what_is_understood_of_a_column(tmp_path, line):
     columns, rows, words, expected = (part.strip() for part in line.split("|"))
     said = dict(word.split("=", 1) for word in words.split("; ") if word)
-    roles = {role: said.pop(role) for role in ("sigma", "value") if role in said}
+    roles = {role: said.pop(role) for role in SAID if role in said}
     said |= {"columns": roles} if roles else {}
     if panel := said.get("panel_reflectance"):
         said["panel_reflectance"] = float(panel)
