@@ -283,9 +283,9 @@ def _write_parts(
     written = np.zeros_like(fractions_of(record))
     for (hemisphere, number), name in part_names(record, path).items():
         blocks = [block.channel(number) for block in scatter.of(hemisphere)]
-        comment = f"gonio-mi: {_specimen(record)}, {record.channels[number]}"
-        part = _written(known, Scatter(blocks, ("Y",)), record, name, comment)
-        written[:, hemisphere, ..., number] = part[:, hemisphere, ..., 0]
+        part = Scatter(blocks, (record.channels[number],))
+        fractions = _written(known, part, record, name)
+        written[:, hemisphere, ..., number] = fractions[:, hemisphere, ..., 0]
     return losses(record, written)
 
 
@@ -294,7 +294,7 @@ def _write_grids(
 ) -> list[Loss]:
     """One file of all."""
     scatter, nm = scatter_of(record, known.specular), wavelengths_nm(record.channels)
-    fractions = _written(known, scatter, record, path, _specimen(record))
+    fractions = _written(known, scatter, record, path)
     fractions = fractions[:, : 1 if known.reflection_only else record.n_hemispheres]
     # the file has ascending wavelengths, or one channel for all
     order = [0] if nm is None else np.argsort(np.argsort(nm)).tolist()
@@ -303,25 +303,13 @@ def _write_grids(
 
 
 def _written(
-    known: Format,
-    scatter: Scatter,
-    record: Record,
-    path: str | PathLike[str],
-    comment: str,
+    known: Format, scatter: Scatter, record: Record, path: str | PathLike[str]
 ) -> Floats:
     """Flux fractions of a record in the file that a format writes of its grids."""
-    write, read = known.write, known.scatter
-    if write is None or read is None:
-        raise TypeError(f"{known.program} has no grids")
     with replacing(path) as stream:
-        write(scatter, stream, comment)
+        known.write(scatter, stream, abridged(record.provenance.name, 200))  # type: ignore[misc]
     with open(path, "rb") as stream:
-        return fractions_of_scatter(read(stream), record)
-
-
-def _specimen(record: Record) -> str:
-    """Name of the specimen, short."""
-    return abridged(record.provenance.name, 200)
+        return fractions_of_scatter(known.scatter(stream), record)  # type: ignore[misc]
 
 
 def _write_merl(record: Record, path: str | PathLike[str]) -> list[Loss]:

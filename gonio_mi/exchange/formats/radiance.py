@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from ...array_types import Floats
 from ...collector.directions import angles, direction as unit_vectors
-from ...collector.klems import KLEMS
+from ...collector.klems import KLEMS, Klems
 from ...errors import FileFormatError, printable
 from ...files.checks import require, size_of
 from ...files.numbers import decimal
@@ -26,6 +26,7 @@ from .tensor_tree import TensorTree
 
 # Klems bases by their names in files.
 KLEMS_BASES = {f"LBNL/Klems {one.size.capitalize()}": one for one in KLEMS.values()}
+NAME_OF = {one: name for name, one in KLEMS_BASES.items()}
 SHIRLEY_CHIU = "LBNL/Shirley-Chiu"
 
 STRUCTURES = {f"TensorTree{rank}": rank for rank in RANKS.values()}
@@ -119,7 +120,7 @@ def write(
     if isinstance(first, TensorTree):
         definition = _structure(f"TensorTree{first.rank}")
     else:
-        definition = _structure("Columns") + _klems_basis(_name_of(first))
+        definition = _structure("Columns") + _klems_basis(Basis.of(first).patches)
     product = product or Product()
     stream.write(
         f"""<?xml version="1.0" encoding="UTF-8"?>
@@ -147,21 +148,15 @@ def _structure(name: str) -> str:
     return f"<IncidentDataStructure>{name}</IncidentDataStructure>\n"
 
 
-def _name_of(matrix: Floats) -> str:
-    """Name of the Klems basis of a matrix ``(n, n)``, by its size."""
-    n = len(matrix)
-    return next(name for name, one in KLEMS_BASES.items() if one.n_patches == n)
-
-
-def _klems_basis(name: str) -> str:
-    edges, n_phi = KLEMS_BASES[name].theta_deg, KLEMS_BASES[name].n_phi
+def _klems_basis(patches: Klems) -> str:
+    edges, n_phi = patches.theta_deg, patches.n_phi
     rings = "".join(
         f"<AngleBasisBlock><Theta>{(low + high) / 2 if low else 0:g}</Theta>"
         f"<nPhis>{n}</nPhis><ThetaBounds><LowerTheta>{low}</LowerTheta>"
         f"<UpperTheta>{high}</UpperTheta></ThetaBounds></AngleBasisBlock>\n"
         for low, high, n in zip(edges, edges[1:], n_phi)
     )
-    title = f"<AngleBasisName>{name}</AngleBasisName>"
+    title = f"<AngleBasisName>{NAME_OF[patches]}</AngleBasisName>"
     return f"<AngleBasis>\n{title}\n{rings}</AngleBasis>\n"
 
 
@@ -170,7 +165,7 @@ def _block(wavelength: str, direction: str, block: Floats | TensorTree) -> str:
         basis = f"<AngleBasis>{SHIRLEY_CHIU}</AngleBasis>"
         text = block.text()
     else:
-        name = _name_of(block)
+        name = NAME_OF[Basis.of(block).patches]
         basis = f"<ColumnAngleBasis>{name}</ColumnAngleBasis>\n"
         basis += f"<RowAngleBasis>{name}</RowAngleBasis>"
         # as WINDOW has them; pyWinCalc reads no other

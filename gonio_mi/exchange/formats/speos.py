@@ -138,10 +138,8 @@ def _scale(blocks: Sequence[Block], reference: Floats) -> float:
     return float(np.interp(reference[0], angles, 1 / totals))
 
 
-def _from_the_other_normal(
-    polar: Floats, values: Floats, hemisphere: int
-) -> tuple[Floats, Floats]:
-    """Rows of transmission by angles from the other normal, and back."""
+def _turned(polar: Floats, values: Floats, hemisphere: int) -> tuple[Floats, Floats]:
+    """Rows, of transmission by angles from the other normal, and back."""
     return (180 - polar[::-1], values[::-1]) if hemisphere else (polar, values)
 
 
@@ -159,7 +157,7 @@ def _block(
     azimuth = rows.numbers(n_azimuth)
     table = np.array([rows.numbers(n_azimuth + 1) for _ in range(n_polar)])
     theta, values = table[:, 0], table[:, 1:]
-    polar, values = _from_the_other_normal(theta, values, hemisphere)
+    polar, values = _turned(theta, values, hemisphere)
     require(
         len(polar) > 0 and polar[0] >= -1e-9 and polar[-1] <= 90 * (1 + 1e-9),
         f"line {rows.number}: polar angles must be within one hemisphere",
@@ -268,7 +266,7 @@ def _beginning(head: str, comment: str) -> list[str]:
 
 def _table(block: Block, values: Floats) -> list[str]:
     """Rows of one table."""
-    polar, values = _from_the_other_normal(block.polar, values, block.hemisphere)
+    polar, values = _turned(block.polar, values, block.hemisphere)
     lines = [_row([len(polar), len(block.azimuth)]), "\t" + _row(block.azimuth)]
     return [*lines, *(_row([angle, *row]) for angle, row in zip(polar, values))]
 

@@ -101,7 +101,7 @@ def write(scatter: Scatter, stream: BinaryIO, comment: str) -> None:
         Of reflection or of transmission.
     stream : binary stream
     comment : str
-        A line of it.
+        What was measured.
     """
     first = scatter.blocks[0]
     rotations = sorted({block.phi_i for block in scatter.blocks})
@@ -110,7 +110,7 @@ def write(scatter: Scatter, stream: BinaryIO, comment: str) -> None:
     symmetry = "Asymmetrical" if len(rotations) == 1 else "Asymmetrical4D"
     symmetry = PLANE_SYMMETRICAL if first.holds_one_side else symmetry
     words = "Measured", symmetry, GREY, KINDS[first.hemisphere]
-    lines = [f"# {' '.join(comment.split())}"]
+    lines = [f"# gonio-mi: {' '.join(comment.split())}, {scatter.channels[0]}"]
     lines += [f"{key}  {word}" for key, word in zip(WORDS, words)]
     grid: list[Sequence[float]] = [rotations, incidences]
     grid += [first.azimuth.tolist(), first.polar.tolist()]
