@@ -154,14 +154,14 @@ class Side:
 
     def __init__(self, record: Record, basis: str, progress: bool = False) -> None:
         self.record, self.progress = record, progress
-        own, rank = record.subdivision, RANKS.get(basis)
-        cells = own.size if isinstance(own, ShirleyChiu) else TREE_SIZES.get(rank or 0)
-        self.basis = Basis.named(basis, cells or 0)
+        own, cells = record.subdivision, TREE_SIZES.get(RANKS.get(basis, 0), 0)
+        cells = own.size if isinstance(own, ShirleyChiu) else cells
+        self.basis = Basis.named(basis, cells)
         self.face = record.asked.side
         self.hemispheres = range(record.n_hemispheres)
         self.measured = _is_measured(record, basis, self.basis)
         if not self.measured:
-            _check_resampled(record, rank)
+            _check_resampled(record, self.basis.rank)
             self.material = Material(record, specular_peaks(record))
 
     def blocks(self, colours: int = 1) -> dict[tuple[str, str], Any]:
@@ -177,13 +177,13 @@ class Side:
 
     def _flux(self, hemisphere: int) -> Floats:
         """Flux fractions of the file's patches, incident times exit times channels."""
-        record, rank = self.record, self.basis.rank
+        record = self.record
         if self.measured:  # in the order of the file
             patches = self.basis.incident_patch(record.theta_i, record.phi_i)
             flux = fractions_of(record)[np.argsort(patches), hemisphere]
             return flux.reshape(len(flux), -1, flux.shape[-1])
         n_in, n_out = CELL_POINTS, CELL_POINTS
-        if rank is None:
+        if self.basis.rank is None:
             n_in, n_out = POINTS_IN, POINTS_OUT
         where = *self.basis.incident_points(n_in), self.basis.patches, n_out
         return resampled(self.material, hemisphere, *where, progress=self.progress)
