@@ -44,7 +44,10 @@ def weights(bsdf: Any, ctx: Any, si: Any, u: Any) -> Counted:
 
 
 def in_box(bsdf: Any, ctx: Any, si: Any, u: Any, of: Any, low: Any, high: Any) -> Means:
-    """What is drawn in a box of the unit square is the integral of its density."""
+    """What is drawn in a box of directions is the integral of its density there.
+
+    Both, of the box as a part of the unit square that Mitsuba warps to the sphere.
+    """
     wo, counted, due = of(bsdf, ctx, si, u)
     low, high = np.array([low, high])[:, :, None]
     square, n = np.array(mi.warp.uniform_sphere_to_square(wo)), dr.width(u)

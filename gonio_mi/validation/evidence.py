@@ -104,8 +104,10 @@ class Question:
         Takes the evidence and guesses what is wrong, where it is not the worst breach.
     checks : dict of list
         Functions that take the evidence, by when :meth:`Evidence.ask` calls them:
-        about ``"samples"``, all elements of their ``"matrices"``, or ``"maps"`` of one
-        condition, a ``"sweep"`` of many, the ``"bsdf"``, or after these about other
+        ``"samples"`` of each condition (angles, sides, modes and components) and of the
+        sweep; ``"matrices"``, the same of all elements, in polarised variants;
+        ``"sweep"``, of samples of many conditions at once, with its name; ``"maps"`` of
+        each condition that is mapped; ``"bsdf"``, once; and after these, about other
         ``"parameters"``, to which some plugins do not return.
     """
 

@@ -41,7 +41,7 @@ def most_apart(a: Any, b: Any, error: Any) -> None:
 
 
 def by_sample(a: Any, b: Any, counts: Any) -> None:
-    """Each sample that counts, elements over light: the worst but for a thousandth."""
+    """Of samples that count the most unequal one, but for a thousandth of them."""
     a, b, counts = np.broadcast_arrays(a, b, counts)
     size = np.fmax(abs(a), abs(b))[(0, 0) if a.ndim == 4 else ...]
     off = np.abs(np.nan_to_num(np.where(counts, a - b, 0))) / np.fmax(size, 1e-30)

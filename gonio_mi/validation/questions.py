@@ -28,10 +28,28 @@ from .checks.weights import WEIGHTS
 VOLUMETRIC = "volpath, volpathmis, prbvolpath: all that follow rays through media"
 
 QUESTIONS = (
-    *(ANSWERS, FIRST_ELEMENT, DIRECTIONS, SAMPLING, WEIGHTS, SAMPLED_PDF),
-    *(SAMPLED_WEIGHT, EVAL_PDF, EVAL_PDF_SAMPLE, REALISABLE, ENERGY, FRAMES),
-    *(CONTINUITY, RECIPROCITY, ADJOINT, DELTA, DECLARED, COMPONENTS, MASKS, ENDS),
-    *(PARAMETERS, CALLS),
+    ANSWERS,
+    FIRST_ELEMENT,
+    DIRECTIONS,
+    SAMPLING,
+    WEIGHTS,
+    SAMPLED_PDF,
+    SAMPLED_WEIGHT,
+    EVAL_PDF,
+    EVAL_PDF_SAMPLE,
+    REALISABLE,
+    ENERGY,
+    FRAMES,
+    CONTINUITY,
+    RECIPROCITY,
+    ADJOINT,
+    DELTA,
+    DECLARED,
+    COMPONENTS,
+    MASKS,
+    ENDS,
+    PARAMETERS,
+    CALLS,
 )
 
 # Those about a BSDF in unpolarised variants.

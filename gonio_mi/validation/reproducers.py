@@ -35,7 +35,7 @@ from .densities import (
     in_box,
     lit_directions,
 )
-from .judgements import OF_CHANCE, most_apart
+from .judgements import OF_CHANCE, by_sample, equal, most_apart
 from .maps import FourMaps
 from .mistakes import Claim
 from .phase_functions import Scatterer
@@ -81,6 +81,14 @@ LATER = ("def", "class")
 
 # Characters of a line.
 WIDTH = 88
+
+# What a script says of its unit, by the judgement that it ends with.
+CHANCE = "# Five standard errors are hardly ever chance.\n"
+ROUNDINGS = f"""\
+# A rounding is {BSDF_ROUNDING:.2g} of them: 1024 operations in single precision.
+# A few are no mistake.
+"""
+UNITS = dict.fromkeys(OF_CHANCE, CHANCE) | dict.fromkeys((equal, by_sample), ROUNDINGS)
 
 IMPORTS = """import drjit as dr
 import mitsuba as mi
@@ -166,7 +174,7 @@ def script(verdict: Verdict, one: Property, claim: Claim | None = None) -> str:
     return (
         f"# {title} ({condition})\n"
         f"# Two numbers that should be equal where {one.question or 'it is right'}.\n"
-        f"# A rounding is {BSDF_ROUNDING:.2g}: 1024 operations in single precision.\n"
+        f"{UNITS.get(claim.judge, '')}"
         f"{IMPORTS}\n\n{sources(*needed)}\n\n\n{setting}"
         f"{claim.judge.__name__}(*{call})\n"
     )

@@ -37,7 +37,7 @@ def exchanged(bsdf: Any, ctx: Any, si: Any, u: Any, other: Any) -> Sides:
 
 
 def both_ways(bsdf: Any, ctx: Any, si: Any, u: Any) -> Sides:
-    """Light goes both ways alike, with a factor eta^2 in transmission."""
+    """`eval` over the cosine is the same both ways, eta^2 apart in transmission."""
     there, back, counts = exchanged(bsdf, ctx, si, u, ctx)
     bs, _ = drawn(bsdf, ctx, si, u)
     eta = np.where(rows(bs.wo.z * si.wi.z) < 0, rows(bs.eta), 1)
