@@ -9,7 +9,8 @@ import pytest
 import short_bsdfs
 from broken_bsdfs import judged
 
-from gonio_mi.validation import diagnosis, examination, questions, validate
+from gonio_mi.validation import examination, questions, validate
+from gonio_mi.validation.guilt import hypotheses
 from gonio_mi.validation.mistakes import Mistake
 
 # A right one, and broken ones told by breaches, ratios, counts, cosines, modes, flags,
@@ -90,7 +91,7 @@ def test_twin_a_guess_by_words_is_seen(monkeypatch):
         guesses = (one.guess for one in evidence.breaches)
         return next((one for one in guesses if "weight" in str(one)), None)
 
-    monkeypatch.setattr(diagnosis, "ODD", (of_words, *diagnosis.ODD))
+    monkeypatch.setattr(hypotheses, "ODD", (of_words, *hypotheses.ODD))
     name = "weight_with_cosine"
     check_alike(judged_now(name), name, monkeypatch, alike=False)
 

@@ -17,7 +17,7 @@ from ..arrays import of_pdf
 from ..conditions import Condition, Sweep
 from ..densities import directions, in_box, total
 from ..evidence import BIAS, COMBINED, INTERFACE, MAX_P, NOISE, SAME, Evidence, Question
-from ..factors import OF_WEIGHT, has_known_factor, ratios_of
+from ..guilt.ratios import OF_WEIGHT, has_known_factor, ratios_of
 from ..integrals import SUM_ERROR
 from ..judgements import apart
 from ..maps import FourMaps, skew_score, unexplained_fraction

@@ -13,17 +13,17 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..array_types import Floats
-from ..single_precision import BSDF_ROUNDING
-from .checks.components import alone, are_apart
-from .conditions import Condition
-from .evidence import Evidence
-from .factors import FACTORS, factor
-from .maps import FourMaps
-from .mistakes import PDF, SAMPLE, Function, Guess, Mistake
-from .probe import Probe, numbers, uniform, vectors
-from .samples import MAX_SCORE, Samples, beyond_rounding, moments, samples_of
-from .tally import groups, patch_of
+from ...array_types import Floats
+from ...single_precision import BSDF_ROUNDING
+from ..checks.components import alone, are_apart
+from ..conditions import Condition
+from ..evidence import Evidence
+from ..maps import FourMaps
+from ..mistakes import PDF, SAMPLE, Function, Guess, Mistake
+from ..probe import Probe, numbers, uniform, vectors
+from ..samples import MAX_SCORE, Samples, beyond_rounding, moments, samples_of
+from ..tally import groups, patch_of
+from .ratios import FACTORS, factor
 
 
 class Counts(Mistake):

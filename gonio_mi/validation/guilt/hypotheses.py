@@ -2,7 +2,7 @@
 
 The table is read once, from above: the first row that fails and has an explanation
 names the function. Where two answers about the same samples differ, the factor between
-them tells the mistake (:mod:`.factors`); where counts and ``pdf`` differ, these do
+them tells the mistake (:mod:`.ratios`); where counts and ``pdf`` differ, these do
 (:mod:`.counts`).
 """
 
@@ -11,16 +11,16 @@ from collections.abc import Mapping
 import mitsuba as mi
 import numpy as np
 
-from ..array_types import Floats
-from .checks.answers import Answers, asked_again
-from .checks.components import alone, are_apart
-from .checks.weights import Weights
+from ...array_types import Floats
+from ..checks.answers import Answers, asked_again
+from ..checks.components import alone, are_apart
+from ..checks.weights import Weights
+from ..evidence import EFFECTS, INTERFACE, MODEL, NOISE, Evidence, Question
+from ..mistakes import EVAL, PDF, SAMPLE, Guess, Mistake
+from ..probe import Probe
+from ..samples import beyond_rounding, unequal
 from .counts import as_turned, guess_of_counts
-from .evidence import EFFECTS, INTERFACE, MODEL, NOISE, Evidence, Question
-from .factors import OF_PDF, OF_SAMPLED_PDF, explain, explain_weights, ratios_of
-from .mistakes import EVAL, PDF, SAMPLE, Guess, Mistake
-from .probe import Probe
-from .samples import beyond_rounding, unequal
+from .ratios import OF_PDF, OF_SAMPLED_PDF, explain, explain_weights, ratios_of
 
 # Fraction of the share of the largest failure below which another is no symptom of it,
 # but a smaller one beside it, and explains nothing.

@@ -12,15 +12,15 @@ from dataclasses import replace
 import mitsuba as mi
 import numpy as np
 
-from ..array_types import Flags, Floats
-from ..collector.directions import direction
-from ..single_precision import BSDF_ROUNDING
-from ..specimen.bsdf_trial import PluginFault
-from .conditions import Condition
-from .evidence import BIAS, MODEL, Breach, Evidence
-from .mistakes import EVAL, Guess, Mistake
-from .probe import Probe, changed, number_parameters
-from .samples import SLACK, Samples, beyond_rounding, unequal
+from ...array_types import Flags, Floats
+from ...collector.directions import direction
+from ...single_precision import BSDF_ROUNDING
+from ...specimen.bsdf_trial import PluginFault
+from ..conditions import Condition
+from ..evidence import BIAS, MODEL, Breach, Evidence
+from ..mistakes import EVAL, Guess, Mistake
+from ..probe import Probe, changed, number_parameters
+from ..samples import SLACK, Samples, beyond_rounding, unequal
 
 
 class Cosine(Mistake):

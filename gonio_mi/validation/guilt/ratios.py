@@ -13,12 +13,12 @@ from typing import Any, NamedTuple
 import mitsuba as mi
 import numpy as np
 
-from ..array_types import Flags, Floats
-from .conditions import Sweep
-from .evidence import Evidence
-from .mistakes import EVAL, PDF, SAMPLE, Function, Guess, Mistake
-from .probe import Probe, is_delta, numbers, spectral, uniform
-from .samples import Samples, beyond_rounding, ratio_of, unequal
+from ...array_types import Flags, Floats
+from ..conditions import Sweep
+from ..evidence import Evidence
+from ..mistakes import EVAL, PDF, SAMPLE, Function, Guess, Mistake
+from ..probe import Probe, is_delta, numbers, spectral, uniform
+from ..samples import Samples, beyond_rounding, ratio_of, unequal
 
 # Likely factors that are forgotten, or there once too often, and how they read.
 FACTORS = {
