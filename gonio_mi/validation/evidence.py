@@ -100,8 +100,6 @@ class Question:
         Whether nothing passes where it is undecided.
     shown : Claim, optional
         Judgement by which a script shows the fault, unless a breach names another.
-    explain : callable, optional
-        Takes the evidence and guesses what is wrong, where it is not the worst breach.
     checks : dict of list
         Functions that take the evidence, by when :meth:`Evidence.ask` calls them:
         ``"samples"`` of each condition (angles, sides, modes and components) and of the
@@ -122,7 +120,6 @@ class Question:
     identity: bool = False
     needed: bool = False
     shown: Claim | None = None
-    explain: Callable[[Evidence], Guess | None] | None = None
     checks: dict[str, list[Callable[..., None]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -317,6 +314,11 @@ class Evidence:
     def whole(self) -> list[Samples]:
         """Samples of all components together."""
         return [one for one in self.samples if one.condition.component is None]
+
+    @property
+    def whole_maps(self) -> list[FourMaps]:
+        """Maps of all components together."""
+        return [one for one in self.maps if one.condition.component is None]
 
     def breach(
         self,

@@ -38,8 +38,7 @@ from .checks.consistency import check_again, check_identities, check_memory
 from .checks.flags import Declared
 from .conditions import Condition, Effort, sides_of
 from .evidence import BIAS, MAX_P, NOISE, Evidence, Question
-from .guilt.cosines import explain_reciprocity
-from .guilt.hypotheses import likely_mistake
+from .guilt.hypotheses import explain_reciprocity, likely_mistake
 from .maps import in_radiance_mode
 from .phase_functions import ASKED, MAPPED, as_bsdf, check_rings, check_symmetry
 from .polarised import examine_polarised

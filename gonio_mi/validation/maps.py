@@ -139,6 +139,16 @@ class FourMaps:
         return self.due.counts.values
 
     @property
+    def drawn(self) -> Floats:
+        """Share of the samples by patch, shape (2 n_patches,)."""
+        return self.totals.counts / self.totals.n
+
+    @property
+    def mass(self) -> float:
+        """Integral of ``pdf``, also where ``eval`` is black."""
+        return float(self.pdf.sum() + self.due.unused.values.sum())
+
+    @property
     def weights(self) -> Floats:
         """Mean of the damped weight by patch, shape (2 n_patches,)."""
         return self.due.weights.values
@@ -186,6 +196,12 @@ class FourMaps:
         total = _binomial_score(drawn.counts.sum(), n, due.sum(), self.pdf_sum_bound)
         share = np.sqrt(q / np.maximum(1 - q, q))
         return Scores(z, first, float(total), _mean_variance(share))
+
+    @property
+    def misfit(self) -> float:
+        """Mean squared score of the counts, plus the square of that of their sum."""
+        scores = self.count_scores
+        return float(np.sum(scores.z**2)) / max(len(scores.z), 1) + scores.total**2
 
     @cached_property
     def weight_scores(self) -> Scores:
@@ -266,7 +282,7 @@ def unexplained_fraction(maps: FourMaps, name: str) -> tuple[float, float]:
     n, scores = maps.totals.n, maps.scores(name)
     drawn, due = maps.totals.sums / n, maps.weights
     if name == "sampling":
-        drawn, due = maps.totals.counts / n, maps.pdf
+        drawn, due = maps.drawn, maps.pdf
     whole = max(drawn.sum(), due.sum())
     gain = (drawn - due).sum()
     surplus = float(abs(maps.condition.wi[2]) * gain / max(whole, 1e-30))
@@ -290,7 +306,7 @@ def unexplained_light(maps: FourMaps, name: str, max_p: float) -> float:
     n, flux = maps.totals.n, np.mean([one.values for one in maps.due.channels], axis=0)
     drawn, due = maps.totals.sums / n, maps.weights
     if name == "sampling":
-        drawn, due = maps.totals.counts / n, maps.pdf
+        drawn, due = maps.drawn, maps.pdf
     whole, scores = float(flux.sum()), maps.scores(name)
     if not (whole > 0 and scores.first.size):
         return 1.0

@@ -57,13 +57,7 @@ OF_SURFACES = tuple(one for one in QUESTIONS if not one.alone)
 
 # In polarised ones, of Mueller matrices: nothing passes that is not all decided.
 OF_MATRICES = tuple(
-    replace(
-        one,
-        text=one.matrices or one.text,
-        identity=False,
-        explain=None,
-        needed=True,
-    )
+    replace(one, text=one.matrices or one.text, needed=True)
     for one in QUESTIONS
     if one.matrices is not None
 )

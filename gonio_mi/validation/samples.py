@@ -113,6 +113,11 @@ def beyond_rounding(mask: Flags) -> bool:
     return mask.sum() > max(2, SPOILED * len(mask))
 
 
+def agree(a: Numbers, b: Numbers, slack: Numbers | float, mask: Flags) -> bool:
+    """Whether answers about the samples of a mask are equal, but for rounding."""
+    return not beyond_rounding(unequal(a, b, slack) & mask)
+
+
 @dataclass
 class Samples:
     """Samples one by one, with the answers of all functions at their directions.

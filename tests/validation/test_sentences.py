@@ -87,11 +87,13 @@ def test_sentences_of_matrices_decide_nothing(name, polarised, monkeypatch):
 
 @pytest.mark.usefixtures("plugins")
 def test_twin_a_guess_by_words_is_seen(monkeypatch):
-    def of_words(evidence, _):
-        guesses = (one.guess for one in evidence.breaches)
+    def of_words(case):
+        guesses = (one.guess for one in case.evidence.breaches)
         return next((one for one in guesses if "weight" in str(one)), None)
 
-    monkeypatch.setattr(hypotheses, "ODD", (of_words, *hypotheses.ODD))
+    first = hypotheses.asked(hypotheses.TWO, hypotheses.Case.always, of_words)
+    rows = (first, *hypotheses.HYPOTHESES)
+    monkeypatch.setattr(hypotheses, "HYPOTHESES", rows)
     name = "weight_with_cosine"
     check_alike(judged_now(name), name, monkeypatch, alike=False)
 

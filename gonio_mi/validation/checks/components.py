@@ -23,7 +23,7 @@ from ..evidence import INTERFACE, SAME, Evidence, Question
 from ..judgements import by_sample, equal, same
 from ..mistakes import EVAL, PDF, SAMPLE, Claim, Guess, Mistake
 from ..probe import Probe, is_delta, numbers, spectral
-from ..samples import Samples, beyond_rounding, unequal
+from ..samples import Samples, agree, beyond_rounding, unequal
 from .answers import LOBES
 from .flags import DECLARED
 
@@ -160,8 +160,8 @@ def are_apart(bsdf: mi.BSDF, samples: Samples, each: Alone) -> bool:
     ]
     if len(smooth) < 2:
         return True
-    differ = (unequal(x, samples.eval, samples.eval_slack) for x in smooth)
-    return all(beyond_rounding(one & samples.smooth) for one in differ)
+    whole = samples.eval, samples.eval_slack, samples.smooth
+    return not any(agree(x, *whole) for x in smooth)
 
 
 def _check_types(evidence: Evidence, samples: Samples, each: Alone) -> None:
@@ -246,14 +246,14 @@ def _ignoring_components(samples: Samples, each: Alone, usable: Flags) -> Guess 
     if len(each.pdf) < 2:
         return None
     own = {
-        EVAL: [unequal(v, samples.eval, samples.eval_slack) for v in each.eval],
-        PDF: [unequal(v, samples.pdf, samples.pdf_slack) for v in each.pdf],
-        SAMPLE: [unequal(v, samples.wo, 0.0) for v in each.wo],
+        EVAL: (each.eval, samples.eval, samples.eval_slack),
+        PDF: (each.pdf, samples.pdf, samples.pdf_slack),
+        SAMPLE: (each.wo, samples.wo, 0.0),
     }
     *others, last = [
         function.quoted
-        for function, differs in own.items()
-        if not any(beyond_rounding(one & usable) for one in differs)
+        for function, (answers, whole, slack) in own.items()
+        if all(agree(one, whole, slack, usable) for one in answers)
     ] or [""]
     if others:
         return Components.IGNORED(EVAL, those=f"{', '.join(others)} and {last}")

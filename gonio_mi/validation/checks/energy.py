@@ -14,7 +14,7 @@ from ..evidence import MODEL, Evidence, Question
 from ..integrals import SUM_ERROR
 from ..judgements import apart
 from ..maps import FourMaps
-from ..mistakes import EVAL, SAMPLE, Claim, Guess, Mistake
+from ..mistakes import EVAL, SAMPLE, Claim, Mistake
 from ..mueller import Matrices
 from ..samples import Samples
 
@@ -38,29 +38,12 @@ class Energy(Mistake):
     NOT_1 = "{who} integrates to {flux}, where a phase function has 1"
 
 
-def _guess(evidence: Evidence) -> Guess:
-    """Whether ``eval`` or the weights of discrete lobes gain or lose light."""
-    # what is asked of one component, some answer of all
-    whole = [m for m in evidence.maps if m.condition.component is None]
-    discrete = [m.totals.delta_mean.max() for m in whole]
-    totals = [m.smooth_flux.max() + x for m, x in zip(whole, discrete)]
-    gains = max(discrete, default=0.0) > 1 + 1e-4
-    own = [b.guess for b in evidence.of("components") if b.guess.functions is SAMPLE]
-    if own and any(discrete) and not gains:
-        return own[0]
-    function, most = SAMPLE if gains else EVAL, max(totals, default=1.0)
-    # a phase function absorbs nothing
-    albedo = min(totals) if most < 1 else most
-    return Energy.NOT_CONSERVED(function, found=f"albedo {albedo:.4g}")
-
-
 ENERGY = Question(
     "energy",
     __doc__,
     MODEL,
     volumes="`eval` integrates to 1",
     shown=Claim(total, apart, (of_eval, 1)),
-    explain=_guess,
     matrices="no more flux leaves than arrives, of any polarisation",
 )
 

@@ -63,11 +63,6 @@ EVAL_PDF_SAMPLE = Question(
     BIAS,
     "path",
     shown=Claim(joint_sample, by_sample, (0, of_eval)),
-    # a mistake of eval_pdf explains both
-    explain=lambda evidence: next(
-        (one.guess for one in evidence.of("eval_pdf")),
-        evidence.guess("eval_pdf_sample"),
-    ),
 )
 
 

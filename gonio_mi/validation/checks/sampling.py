@@ -17,7 +17,7 @@ from ..arrays import of_pdf
 from ..conditions import Condition, Sweep
 from ..densities import directions, in_box, total
 from ..evidence import BIAS, COMBINED, INTERFACE, MAX_P, NOISE, SAME, Evidence, Question
-from ..guilt.ratios import OF_WEIGHT, has_known_factor, ratios_of
+from ..guilt.ratios import VALUE, WEIGHT, Ratios
 from ..integrals import SUM_ERROR
 from ..judgements import apart
 from ..maps import FourMaps, skew_score, unexplained_fraction
@@ -261,12 +261,12 @@ def check_roulette(evidence: Evidence) -> None:
     Then directions are rarer than by ``pdf``, and weights larger than ``eval`` over it,
     by the same factor: noise, and no bias, as long as `weights` holds.
     """
-    whole = [maps for maps in evidence.maps if maps.condition.component is None]
+    whole = evidence.whole_maps
     if not whole or not evidence.of("sampled_weight"):
         return
     if not all(_is_roulette(evidence, maps) for maps in whole):
         return
-    if has_known_factor(ratios_of(evidence, OF_WEIGHT)):
+    if Ratios.of(evidence, WEIGHT, VALUE).varies:
         return  # a cosine or a Jacobian is no chance: `pdf` lacks it
     biased = [b for b in evidence.of("sampled_weight") if b.effect == BIAS]
     evidence.change(biased, effect=NOISE, guess=Sampling.ROULETTE(SAMPLE))

@@ -17,10 +17,10 @@ from ...collector.directions import direction
 from ...single_precision import BSDF_ROUNDING
 from ...specimen.bsdf_trial import PluginFault
 from ..conditions import Condition
-from ..evidence import BIAS, MODEL, Breach, Evidence
 from ..mistakes import EVAL, Guess, Mistake
 from ..probe import Probe, changed, number_parameters
 from ..samples import SLACK, Samples, beyond_rounding, unequal
+from .case import Case
 
 
 class Cosine(Mistake):
@@ -53,58 +53,17 @@ HORIZON, N_AZIMUTHS, GRAZING, MIN_LEFT = 1e-3, 64, (60.0, 70.0, 80.0), 0.9
 MAX_EXPONENT_RANGE, MIN_LOG_RATIO = 0.01, 0.1
 
 
-def explain_reciprocity(evidence: Evidence) -> None:
-    """Explain a lack of reciprocity by a power of the cosines, if one does.
-
-    If it does for all samples from all directions, within rounding, it is a mistake in
-    ``eval`` and no law of a model: of the whole, of a component that is asked alone, or
-    of the part of ``eval`` that a parameter changes. Where a lobe cannot be asked
-    alone, it is so if all is a sum, nowhere negative, of a right lobe and a wrong one,
-    which stays lit as wo falls to the horizon. One that means it so (Phong's, of 1975,
-    has no cosine) can declare NonSymmetric.
-    """
-    found = [b for b in evidence.of("reciprocity") if b.guess.functions is EVAL]
-    own = [b for b in found if b.effect == MODEL]
-    whole = [one for one in evidence.whole if one.condition.mode == "importance"]
-    # a face of its own may be right
-    wrong = {one.condition.side for one in whole if beyond_rounding(_unexplained(one))}
-    whole = [one for one in whole if one.condition.side in wrong]
-    power = _power(whole) if len(own) > 1 else None
-    if power is not None:
-        _blame(evidence, own, COSINES[power](EVAL, part=""))
-        return
-    guess = _guess_of_components(evidence)
-    if own and not guess:
-        guess = _guess_of_parameters(evidence.bsdf, whole)
-        guess = guess or _guess_at_the_horizon(evidence.bsdf, whole)
-    if guess:
-        _blame(evidence, [max(own or found, key=lambda b: b.size)], guess)
-    elif own and not _components_tell(evidence):
-        for power in COSINES:
-            if all(_is_sum(one, power) for one in whole) and not _is_one_law(whole):
-                words = COSINES[power].sentence.format(who="", part="").strip()
-                for one in own:
-                    text = {"before": str(one.guess), "words": words}
-                    evidence.change([one], guess=Cosine.OF_A_LOBE(EVAL, **text))
-                return
+def of_the_whole(case: Case) -> Guess | None:
+    """All of ``eval``."""
+    power = _power(_asymmetric(case))
+    return None if power is None else COSINES[power](EVAL, part="")
 
 
-def _blame(evidence: Evidence, own: Sequence[Breach], guess: Guess) -> None:
-    """Make breaches ones that bias images, by a mistake."""
-    for one in own:
-        evidence.change([one], effect=BIAS, guess=guess, size=1 + one.size)
-
-
-def _components_tell(evidence: Evidence) -> bool:
-    """Whether there are several components, which add up to the whole."""
-    return evidence.bsdf.component_count() > 1 and not evidence.of("components")
-
-
-def _guess_of_components(evidence: Evidence) -> Guess | None:
-    """Mistake of one component on its own; None if none has one."""
-    bsdf = evidence.bsdf
-    for i in range(bsdf.component_count() if _components_tell(evidence) else 0):
-        own = [one for one in evidence.samples if one.condition.component == i]
+def of_a_component(case: Case) -> Guess | None:
+    """One component on its own."""
+    bsdf = case.evidence.bsdf
+    for i in range(bsdf.component_count()):
+        own = [one for one in case.evidence.samples if one.condition.component == i]
         declared = int(bsdf.flags(i)) & int(mi.BSDFFlags.NonSymmetric)
         power = None if declared else _power(own)
         if power is not None:
@@ -112,14 +71,15 @@ def _guess_of_components(evidence: Evidence) -> Guess | None:
     return None
 
 
-def _guess_of_parameters(bsdf: mi.BSDF, whole: Sequence[Samples]) -> Guess | None:
-    """Mistake of the part of ``eval`` that a parameter changes; None if none."""
+def of_a_parameter(case: Case) -> Guess | None:
+    """The part of ``eval`` that a parameter changes."""
+    bsdf = case.evidence.bsdf
     try:
         for name, value in number_parameters(bsdf)[1].items():
             if not np.any(np.array(value)):
                 continue
             with changed(bsdf, {name: type(value)(0.5 * value)}):
-                parts = [_part(bsdf, samples) for samples in whole]
+                parts = [_part(bsdf, samples) for samples in _asymmetric(case)]
             power = _power(parts)
             if power is not None:
                 part = f", in the part of it that the parameter {name} changes"
@@ -127,6 +87,42 @@ def _guess_of_parameters(bsdf: mi.BSDF, whole: Sequence[Samples]) -> Guess | Non
     except PluginFault:
         pass  # a property of its own
     return None
+
+
+def at_the_horizon(case: Case) -> Guess | None:
+    """One lobe that cannot be asked alone, and stays lit as wo falls to the horizon."""
+    bsdf, whole = case.evidence.bsdf, _asymmetric(case)
+    lit = [
+        Condition(theta, 25.0, side)
+        for side in {samples.condition.side for samples in whole}
+        for theta in GRAZING
+    ]
+    for power in (0, -1) if lit else ():
+        if all(_is_sum(samples, power) for samples in whole) and all(
+            _stays_lit(bsdf, condition, power) for condition in lit
+        ):
+            part = "it does not fall to 0 as wo falls to the horizon"
+            return COSINES[power](EVAL, part=f", in one lobe of several: {part}")
+    return None
+
+
+def of_a_lobe(case: Case) -> Guess | None:
+    """A law of the model, or one lobe that cannot be asked alone."""
+    whole = _asymmetric(case)
+    for power in COSINES:
+        if all(_is_sum(one, power) for one in whole) and not _is_one_law(whole):
+            words = COSINES[power].sentence.format(who="", part="").strip()
+            before = max(case.asymmetries, key=lambda one: one.size).guess
+            return Cosine.OF_A_LOBE(EVAL, before=str(before), words=words)
+    return None
+
+
+def _asymmetric(case: Case) -> list[Samples]:
+    """Samples of the whole from sides on which it is not reciprocal."""
+    whole = [s for s in case.evidence.whole if s.condition.mode == "importance"]
+    # a face of its own may be right
+    wrong = {one.condition.side for one in whole if beyond_rounding(_unexplained(one))}
+    return [one for one in whole if one.condition.side in wrong]
 
 
 def _part(bsdf: mi.BSDF, samples: Samples) -> Samples:
@@ -151,22 +147,6 @@ def _part(bsdf: mi.BSDF, samples: Samples) -> Samples:
 def _reversed(probe: Probe, wo: Floats) -> Floats:
     """``eval`` with wi and wo exchanged."""
     return probe.values(np.broadcast_to(probe.condition.wi, wo.shape), wo)
-
-
-def _guess_at_the_horizon(bsdf: mi.BSDF, whole: Sequence[Samples]) -> Guess | None:
-    """Mistake of one lobe that cannot be asked alone; None if it is not certain."""
-    lit = [
-        Condition(theta, 25.0, side)
-        for side in {samples.condition.side for samples in whole}
-        for theta in GRAZING
-    ]
-    for power in (0, -1) if lit else ():
-        if all(_is_sum(samples, power) for samples in whole) and all(
-            _stays_lit(bsdf, condition, power) for condition in lit
-        ):
-            part = "it does not fall to 0 as wo falls to the horizon"
-            return COSINES[power](EVAL, part=f", in one lobe of several: {part}")
-    return None
 
 
 def _stays_lit(bsdf: mi.BSDF, condition: Condition, power: int) -> bool:

@@ -1,21 +1,17 @@
-"""Directions that are not of ``pdf``: what is wrong, by the counts of all patches.
-
-A factor of `DISTORTIONS` may tell which of ``sample`` and ``pdf`` it is.
-"""
+"""Directions that are not of ``pdf``: what is wrong, by the counts of all patches."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ...array_types import Floats
+from ...array_types import Flags, Floats
 from ...single_precision import BSDF_ROUNDING
-from ..checks.components import alone, are_apart
 from ..conditions import Condition
 from ..evidence import Evidence
 from ..maps import FourMaps
@@ -23,6 +19,7 @@ from ..mistakes import PDF, SAMPLE, Function, Guess, Mistake
 from ..probe import Probe, numbers, uniform, vectors
 from ..samples import MAX_SCORE, Samples, beyond_rounding, moments, samples_of
 from ..tally import groups, patch_of
+from .case import Case
 from .ratios import FACTORS, factor
 
 
@@ -64,9 +61,6 @@ MIN_HITS = 200
 MAX_MISFIT = 1.5
 MIN_ADVANTAGE = 50
 
-# Mean squared score, and the square of that of the sum, that chance explains.
-MAX_CHANCE = 16
-
 # Distance of two directions that are the same.
 SAME_DIRECTION = 1e-3
 
@@ -93,57 +87,9 @@ MAX_MAPS = 3
 DISTORTIONS = ("cos_o", "jacobian", "dot", "cos_h", "sin_o", "two", "pi", "four")
 
 
-@dataclass(frozen=True)
-class _Counted:
-    """Directions that were counted in maps, all of the `whole` or one the worst.
-
-    Where `weights_fail`, these are not those of the true density.
-    """
-
-    evidence: Evidence
-    whole: Sequence[FourMaps]
-    maps: FourMaps
-    weights_fail: bool
-
-    @property
-    def drawn(self) -> Floats:
-        """Share of the samples, by patch."""
-        return self.maps.totals.counts / self.maps.totals.n
-
-    @property
-    def sums(self) -> str:
-        """Text on the integral of ``pdf`` and the share that it should equal."""
-        share = self.drawn.sum()
-        std_err = np.sqrt(max(share * (1 - share), 0) / self.maps.totals.n)
-        return (
-            f"`pdf` integrates to {self.maps.pdf.sum():.4f}, where it should equal the "
-            f"sampled mass of {share:.4f} +- {std_err:.1g} (std_err)"
-        )
-
-
-def guess_of_counts(evidence: Evidence, weights_fail: bool) -> Guess | None:
-    """Function and mistake, where counted directions contradict ``pdf``.
-
-    None without maps and a suspect. Where `weights_fail`, these are not those of the
-    true density.
-    """
-    whole = [m for m in evidence.maps if m.condition.component is None]
-    suspect = evidence.suspect("sampling")
-    if not whole:
-        return suspect
-    # one component says less, unless it is all that is wrong
-    maps = max(whole, key=_misfit)
-    if _misfit(maps) < MAX_CHANCE:
-        maps = max(evidence.maps, key=_misfit)
-    if suspect and _misfit(maps) < MAX_CHANCE:
-        # only in a band or sector of incidence, that maps have not met
-        return suspect
-    counted = _Counted(evidence, whole, maps, weights_fail)
-    return next(filter(None, (guess(counted) for guess in OF_COUNTS)))
-
-
-def as_turned(evidence: Evidence) -> Guess | None:
-    """Directions that are turned or mirrored."""
+def turned(case: Case) -> Guess | None:
+    """Directions are turned or mirrored."""
+    evidence = case.evidence
     guess = next(filter(None, (_turned(evidence.bsdf, m) for m in evidence.maps)), None)
     if guess and evidence.of_volumes and _stays(evidence):
         return Counts.ABOUT_Z(SAMPLE)
@@ -159,85 +105,100 @@ def _stays(evidence: Evidence) -> bool:
     return not beyond_rounding(np.abs(one - other).max(axis=1) > SAME_DIRECTION)
 
 
-def _side_left_out(counted: _Counted) -> Guess | None:
-    """Directions that never go to a side.
+def suspect(case: Case) -> Guess | None:
+    """What a test tells that has met what no map has."""
+    return case.evidence.suspect("sampling")
+
+
+def side_left_out(case: Case) -> Guess | None:
+    """Directions never go to a side.
 
     ``eval`` is lit there: it is ``pdf`` only if no probability is left for that side.
     """
-    maps, drawn, due = counted.maps, counted.drawn, counted.maps.pdf
-    never = due.reshape(2, -1)[drawn.reshape(2, -1).sum(axis=1) == 0].sum()
+    maps = case.worst
+    by_side = maps.drawn.reshape(2, -1).sum(axis=1)
+    never = maps.pdf.reshape(2, -1)[by_side == 0].sum()
     if never < 1e-3:
         return None
     where = {"mass": never, "place": maps.condition}
-    if _none_fail(counted) and due.sum() - drawn.sum() > never / 2:
+    if _none_fails(case) and maps.pdf.sum() - maps.drawn.sum() > never / 2:
         return Counts.NEVER_ON_A_SIDE(PDF, **where)
     return Counts.SIDE_LEFT_OUT(SAMPLE, **where)
 
 
-def _none_fail(counted: _Counted) -> bool:
-    """Whether every sample has a direction: their density integrates to 1."""
-    bsdf, condition = counted.evidence.bsdf, counted.maps.condition
-    samples = samples_of(bsdf, condition, N_REDRAWN, (0, 72), False)
-    return bool(samples.given.mean() > 1 - MAX_LOST)
+def distorted(case: Case) -> Guess | None:
+    """``pdf`` or the density of ``sample`` has a factor that the other has not.
+
+    Right weights are those of the true density: then ``pdf`` is wrong. So it is if it
+    integrates to more than 1, or to less though every number gives a direction; where
+    it integrates to 1 and directions are lost, ``sample`` is. Else those that are lost
+    may tell, or either may be wrong.
+    """
+    whole, bsdf = case.maps, case.evidence.bsdf
+    found = _distortion(bsdf, sorted(whole, key=lambda one: one.misfit)[-MAX_MAPS:])
+    if found is None:
+        return None
+    name, power = found
+    words = f"lacks the factor {FACTORS[name]}", f"has an extra factor {FACTORS[name]}"
+    of_pdf, of_sample = words if power > 0 else reversed(words)
+    lost = any(1 - maps.drawn.sum() > MAX_LOST for maps in whole)
+    complete = all(abs(maps.mass - 1) < MAX_LOST for maps in whole)
+    more = any(maps.mass >= 1 + MAX_LOST for maps in whole)
+    guilty = PDF
+    if not case.weights_are_right() and complete and lost:
+        guilty = SAMPLE
+    elif not (case.weights_are_right() or more) and (complete or lost):
+        samples = _redrawn(bsdf, whole[0].condition, 0, 71)
+        guilty = _by_lost_samples(samples, name, power)
+    mistake = {
+        PDF: Counts.FACTOR_OF_PDF,
+        SAMPLE: Counts.FACTOR_OF_SAMPLE,
+        SAMPLE | PDF: Counts.FACTOR_OF_EITHER,
+    }[guilty]
+    return mistake(guilty, of_pdf=of_pdf, of_sample=of_sample, sums=_sums(case))
 
 
-def _without_direction(counted: _Counted) -> Guess | None:
-    """Samples without a direction, where ``pdf`` leaves none out."""
-    missing = 1 - float(counted.drawn.sum())
-    complete = abs(_mass_of_pdf(counted.maps) - 1) < MAX_LOST < missing
-    if complete and counted.maps.count_scores.total < -5:
-        return Counts.LOST(SAMPLE, part=missing, mass=_mass_of_pdf(counted.maps))
+def without_direction(case: Case) -> Guess | None:
+    """Numbers give no direction, where ``pdf`` leaves none out."""
+    maps = case.worst
+    missing = 1 - float(maps.drawn.sum())
+    complete = abs(maps.mass - 1) < MAX_LOST < missing
+    if complete and maps.count_scores.total < -5:
+        return Counts.LOST(SAMPLE, part=missing, mass=maps.mass)
     return None
 
 
-def _unnormalised(counted: _Counted) -> Guess | None:
-    """A density of more than all, or with a constant factor.
+def unnormalised(case: Case) -> Guess | None:
+    """``pdf`` is of more than all, or has a constant factor.
 
     Where samples fail and weights are wrong, `sample` may have that factor as well.
     """
-    tells = not counted.weights_fail or _none_fail(counted)
-    if counted.maps.pdf.sum() > 1.001 or (tells and _is_proportional(counted.maps)):
-        return Counts.MASS(PDF, sums=counted.sums)
+    tells = case.weights_are_right() or _none_fails(case)
+    if case.worst.pdf.sum() > 1.001 or (tells and _is_proportional(case.worst)):
+        return Counts.MASS(PDF, sums=_sums(case))
     return None
 
 
-def _of_right_weights(counted: _Counted) -> Guess | None:
-    """A density that right weights do not have."""
-    right = not counted.weights_fail
-    return Counts.NOT_OF_SAMPLE(PDF, sums=counted.sums) if right else None
+def not_of_sample(case: Case) -> Guess:
+    """``pdf`` is another density than that of the weights."""
+    return Counts.NOT_OF_SAMPLE(PDF, sums=_sums(case))
 
 
-def _rejected(counted: _Counted) -> Guess | None:
-    """Samples that fail though all is well with their directions, which then lack."""
-    if counted.drawn.sum() > counted.maps.pdf.sum():
+def rejected(case: Case) -> Guess | None:
+    """Samples fail though all is well with their directions, which then lack."""
+    if case.worst.drawn.sum() > case.worst.pdf.sum():
         return None
-    bsdf, condition = counted.evidence.bsdf, counted.maps.condition
-    samples = samples_of(bsdf, condition, N_REDRAWN, (0, 72), False)
-    length = np.linalg.norm(samples.wo, axis=1)
-    lost = ~samples.given & (np.abs(length - 1) < BSDF_ROUNDING) & (samples.pdf > 0)
+    samples = _redrawn(case.evidence.bsdf, case.worst.condition, 0, 72)
+    lost = _directed(samples) & (samples.pdf > 0)
     part = np.mean(lost & (samples.eval > 0).any(axis=1))
     return Counts.REJECTED(SAMPLE, part=part) if part > MAX_LOST else None
 
 
-def _of_component(counted: _Counted) -> Guess | None:
-    """What is wrong with one component alone; None if no or more than one is."""
-    evidence = counted.evidence
-    alike = [m for m in evidence.maps if m.condition.component is not None]
-    wrong = [m for m in alike if _misfit(m) > MAX_CHANCE]
-    if len(wrong) != 1 or counted.maps in wrong:
-        return None
-    samples = evidence.whole[0]
-    if not are_apart(evidence.bsdf, samples, alone(evidence, samples)):
-        return None
-    one = _Counted(evidence, wrong, wrong[0], counted.weights_fail)
-    return next(filter(None, (guess(one) for guess in OF_COUNTS)))
-
-
-def _other_than_alone(counted: _Counted) -> Guess | None:
-    """Directions of a component that are others than if it is asked alone."""
-    bsdf, condition = counted.evidence.bsdf, counted.maps.condition
+def other_than_alone(case: Case) -> Guess | None:
+    """Directions of a component are others than if it is asked alone."""
+    bsdf, condition = case.evidence.bsdf, case.worst.condition
     whole, *each = (
-        samples_of(bsdf, replace(condition, component=i), N_REDRAWN, (0, 76), False)
+        _redrawn(bsdf, replace(condition, component=i), 0, 76)
         for i in (None, *range(bsdf.component_count()))
     )
     for i, one in enumerate(each):
@@ -257,31 +218,46 @@ def _other_than_alone(counted: _Counted) -> Guess | None:
     return None
 
 
-def _other_probability(counted: _Counted) -> Guess:
-    """Directions that are drawn with another probability."""
-    where = f"{_worst_patch(counted.maps)} ({counted.sums})"
-    samples = counted.evidence.samples
+def other_probability(case: Case) -> Guess:
+    """Directions are drawn with another probability."""
+    where = f"{_worst_patch(case.worst)} ({_sums(case)})"
     lobes = {
         one
-        for s in samples
+        for s in case.evidence.samples
         for one in zip(s.component[s.smooth].tolist(), s.type[s.smooth].tolist())
     }
-    several = len(lobes) > 1 and counted.maps.condition.component is None
+    several = len(lobes) > 1 and case.worst.condition.component is None
     # a density that is not complete may be the wrong one as well
-    incomplete = lobes and abs(_mass_of_pdf(counted.maps) - 1) > MAX_LOST
+    incomplete = lobes and abs(case.worst.mass - 1) > MAX_LOST
     guilty = SAMPLE | PDF if several or incomplete else SAMPLE
     return Counts.OTHER_PROBABILITY(guilty, where=where)
 
 
-def _misfit(maps: FourMaps) -> float:
-    """Mean squared score of the counts, plus the square of that of their sum."""
-    scores = maps.count_scores
-    return float(np.sum(scores.z**2)) / max(len(scores.z), 1) + scores.total**2
+def _sums(case: Case) -> str:
+    """Text on the integral of ``pdf`` and the share that it should equal."""
+    share = case.worst.drawn.sum()
+    std_err = np.sqrt(max(share * (1 - share), 0) / case.worst.totals.n)
+    return (
+        f"`pdf` integrates to {case.worst.pdf.sum():.4f}, where it should equal the "
+        f"sampled mass of {share:.4f} +- {std_err:.1g} (std_err)"
+    )
 
 
-def _mass_of_pdf(maps: FourMaps) -> float:
-    """Integral of ``pdf``, also where ``eval`` is black."""
-    return float(maps.pdf.sum() + maps.due.unused.values.sum())
+def _redrawn(bsdf: mi.BSDF, condition: Condition, *key: int) -> Samples:
+    """Further samples, of which nothing is compared."""
+    return samples_of(bsdf, condition, N_REDRAWN, key, False)
+
+
+def _none_fails(case: Case) -> bool:
+    """Whether every sample has a direction: their density integrates to 1."""
+    samples = _redrawn(case.evidence.bsdf, case.worst.condition, 0, 72)
+    return bool(samples.given.mean() > 1 - MAX_LOST)
+
+
+def _directed(samples: Samples) -> Flags:
+    """Mask of lost samples that have a direction."""
+    length = np.linalg.norm(samples.wo, axis=1)
+    return ~samples.given & (np.abs(length - 1) < BSDF_ROUNDING)
 
 
 def _turned(bsdf: mi.BSDF, maps: FourMaps) -> Guess | None:
@@ -290,7 +266,7 @@ def _turned(bsdf: mi.BSDF, maps: FourMaps) -> Guess | None:
     Light tells which of both is right.
     """
     shape, n = (2, *maps.subdivision.shape), maps.subdivision.n_phi
-    drawn = (maps.totals.counts / maps.totals.n).reshape(shape)
+    drawn = maps.drawn.reshape(shape)
     due = maps.pdf.reshape(shape)
     misfit = np.abs(drawn - due).sum()
     # where chance explains it, there is nothing to turn
@@ -384,48 +360,6 @@ def _worst_patch(maps: FourMaps) -> str:
     )
 
 
-def _distorted(counted: _Counted) -> Guess | None:
-    """Which of ``pdf`` and ``sample`` has a factor that the other has not.
-
-    Right weights are those of the true density: then ``pdf`` is wrong. So it is if it
-    integrates to more than 1, or to less though every number gives a direction; where
-    it integrates to 1 and directions are lost, ``sample`` is. Else those that are lost
-    may tell, or either may be wrong.
-    """
-    whole, bsdf = counted.whole, counted.evidence.bsdf
-    found = _distortion(bsdf, sorted(whole, key=_misfit)[-MAX_MAPS:])
-    if found is None:
-        return None
-    name, power = found
-    words = f"lacks the factor {FACTORS[name]}", f"has an extra factor {FACTORS[name]}"
-    of_pdf, of_sample = words if power > 0 else reversed(words)
-    by_pdf = np.array([_mass_of_pdf(maps) for maps in whole])
-    drawn = [maps.totals.counts.sum() / maps.totals.n for maps in whole]
-    lost = any(1 - mass > MAX_LOST for mass in drawn)
-    complete = bool((abs(by_pdf - 1) < MAX_LOST).all())
-    guilty = PDF
-    if counted.weights_fail and complete and lost:
-        guilty = SAMPLE
-    elif counted.weights_fail and (complete or lost) and (by_pdf < 1 + MAX_LOST).all():
-        samples = samples_of(bsdf, whole[0].condition, N_REDRAWN, (0, 71), False)
-        guilty = _by_lost_samples(samples, name, power)
-    mistake = {
-        PDF: Counts.FACTOR_OF_PDF,
-        SAMPLE: Counts.FACTOR_OF_SAMPLE,
-        SAMPLE | PDF: Counts.FACTOR_OF_EITHER,
-    }[guilty]
-    return mistake(guilty, of_pdf=of_pdf, of_sample=of_sample, sums=counted.sums)
-
-
-# What is asked in turn of counts; the first that knows tells.
-OF_COUNTS = (
-    lambda counted: as_turned(counted.evidence),
-    *(_side_left_out, _distorted, _without_direction, _unnormalised),
-    *(_of_right_weights, _rejected, _of_component, _other_than_alone),
-    _other_probability,
-)
-
-
 def _distortion(bsdf: mi.BSDF, whole: Sequence[FourMaps]) -> tuple[str, int] | None:
     """Name and power of the factor by which ``pdf`` is less than the true density.
 
@@ -436,7 +370,7 @@ def _distortion(bsdf: mi.BSDF, whole: Sequence[FourMaps]) -> tuple[str, int] | N
     """
     scores: dict[tuple[str, int], list[Floats]] = {}
     for i, maps in enumerate(whole):
-        samples = samples_of(bsdf, maps.condition, N_REDRAWN, (i, 71), False)
+        samples = _redrawn(bsdf, maps.condition, i, 71)
         ok = samples.smooth
         index = patch_of(maps.subdivision, maps.condition, vectors(samples.wo[ok]))
         patch = numbers(index, int(ok.sum()))
@@ -471,10 +405,8 @@ def _by_lost_samples(samples: Samples, name: str, power: int) -> Function:
     `sample` should lose none where ``pdf`` is not 0; else the lost ones are drawn with
     the same density as the others, by which ``pdf`` integrates to no more than 1.
     """
-    length = np.linalg.norm(samples.wo, axis=1)
-    lost = ~samples.given
-    directed = lost & (np.abs(length - 1) < BSDF_ROUNDING)
-    if np.count_nonzero(directed) < MIN_DIRECTED * np.count_nonzero(lost):
+    directed = _directed(samples)
+    if np.count_nonzero(directed) < MIN_DIRECTED * np.count_nonzero(~samples.given):
         return SAMPLE | PDF
     if directed.any() and np.mean(samples.pdf[directed] > 0) > 1 - MIN_DIRECTED:
         return SAMPLE

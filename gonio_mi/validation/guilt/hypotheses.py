@@ -1,50 +1,137 @@
 """From failed properties to the one function that explains them, and its mistake.
 
-The table is read once, from above: the first row that fails and has an explanation
-names the function. Where two answers about the same samples differ, the factor between
-them tells the mistake (:mod:`.ratios`); where counts and ``pdf`` differ, these do
-(:mod:`.counts`).
+`HYPOTHESES` is what is asked in turn; the first that knows tells.
 """
 
-from collections.abc import Mapping
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import NamedTuple
 
 import mitsuba as mi
-import numpy as np
 
-from ...array_types import Floats
-from ..checks.answers import Answers, asked_again
-from ..checks.components import alone, are_apart
-from ..checks.weights import Weights
-from ..evidence import EFFECTS, INTERFACE, MODEL, NOISE, Evidence, Question
-from ..mistakes import EVAL, PDF, SAMPLE, Guess, Mistake
-from ..probe import Probe
-from ..samples import beyond_rounding, unequal
-from .counts import as_turned, guess_of_counts
-from .ratios import OF_PDF, OF_SAMPLED_PDF, explain, explain_weights, ratios_of
+from ..evidence import BIAS, EFFECTS, INTERFACE, MODEL, Evidence, Question
+from ..mistakes import EVAL, SAMPLE, Guess
+from . import cosines, counts, densities, light
+from .case import Case, Diagnosis
+
+Hypothesis = Callable[[Case], Guess | None]
+
+
+class Asked(NamedTuple):
+    """Hypotheses about a failed property, and whether a case is one that they explain.
+
+    Each returns a guess, or None where it does not know.
+    """
+
+    about: str
+    when: Callable[[Case], bool]
+    hypotheses: tuple[Hypothesis, ...]
+
+
+def asked(about: str, when: Callable[[Case], bool], *hypotheses: Hypothesis) -> Asked:
+    """A row of `HYPOTHESES`."""
+    return Asked(about, when, hypotheses)
+
+
+def plainly(guess: Guess) -> Hypothesis:
+    """What is known as soon as it is asked."""
+    return lambda _: guess
+
+
+def worst(name: str) -> Hypothesis:
+    """What the worst breach of a property tells."""
+    return lambda case: case.evidence.guess(name)
+
+
+def of_only_component(*hypotheses: Hypothesis) -> Hypothesis:
+    """Hypotheses about the only component whose counts are wrong."""
+
+    def tells(case: Case) -> Guess | None:
+        one = case.only_component
+        return first_told(one, hypotheses) if one else None
+
+    return tells
+
+
+def first_told(case: Case, hypotheses: Iterable[Hypothesis]) -> Guess | None:
+    """Guess of the first hypothesis that knows; None if none does."""
+    return next(filter(None, (tells(case) for tells in hypotheses)), None)
+
+
+# Guesses that nothing but the case tells.
+ANY = Diagnosis.ANY(SAMPLE)
+NOT_DIVIDED = Diagnosis.NOT_DIVIDED_BY_CHANCE(SAMPLE)
+OTHER_MEAN = Diagnosis.OTHER_MEAN(EVAL | SAMPLE)
+
+# Properties that compare two functions: which is wrong, all of these tell together.
+TWO = "two functions"
+
+# Of counts, of all components together and of one alone.
+MASSES = (
+    counts.side_left_out,
+    counts.distorted,
+    counts.without_direction,
+    counts.unnormalised,
+)
+ALONE = counts.other_than_alone, counts.other_probability
+
+HYPOTHESES = (
+    # a wrong cosine, of all of `eval` or of a part
+    asked("reciprocity", Case.is_asymmetric_often, cosines.of_the_whole),
+    asked("reciprocity", Case.components_tell, cosines.of_a_component),
+    asked("reciprocity", Case.is_asymmetric, cosines.of_a_parameter),
+    asked("reciprocity", Case.is_asymmetric, cosines.at_the_horizon),
+    asked("reciprocity", Case.is_asymmetric_as_one, cosines.of_a_lobe),
+    # light that comes from nowhere
+    asked("energy", Case.always, light.of_discrete_lobe, light.gained),
+    # what joint functions share
+    asked("eval_pdf_sample", Case.always, worst("eval_pdf")),
+    # directions that are rejected at random
+    asked(TWO, Case.is_noisy_and_wrong, plainly(NOT_DIVIDED)),
+    asked(TWO, Case.is_noisy, light.rejected_by_chance),
+    # one is 0 where another is not
+    asked(TWO, Case.is_dark, counts.turned),
+    asked(TWO, Case.mean_is_wrong, worst("weights")),
+    asked(TWO, Case.density_is_unlit, worst("sampling")),
+    # directions are those of `pdf`, as far as is known
+    asked(TWO, Case.densities_differ, densities.slightly_off, densities.of_sample),
+    asked(TWO, Case.mean_alone_is_wrong, light.changed_answers, plainly(OTHER_MEAN)),
+    asked(TWO, Case.single_components_differ, light.of_a_component),
+    asked(
+        TWO,
+        Case.directions_hold,
+        light.other_sums,
+        light.exchanged_colours,
+        light.of_lobe_alone,
+        light.whoever_gains,
+    ),
+    asked(TWO, Case.reciprocity_tells, light.whoever_is_asymmetric),
+    asked(TWO, Case.directions_hold, light.of_either),
+    # directions are not those of `pdf`
+    asked(TWO, Case.densities_may_mix, densities.wrong_mixture),
+    asked(TWO, Case.other_density_is_returned, densities.of_sample_alone),
+    asked(TWO, Case.other_density_is_returned, densities.of_pdf),
+    asked(TWO, Case.chance_explains_maps, counts.suspect),
+    asked(TWO, Case.is_not_counted, plainly(ANY)),
+    asked(TWO, Case.always, counts.turned, *MASSES),
+    asked(TWO, Case.weights_are_right, counts.not_of_sample),
+    asked(TWO, Case.always, counts.rejected),
+    asked(TWO, Case.always, of_only_component(*MASSES, counts.rejected, *ALONE)),
+    asked(TWO, Case.always, *ALONE),
+)
+
+
+def told(case: Case, about: str) -> Guess | None:
+    """What the first of all hypotheses about a property that knows tells."""
+    rows = (row for row in HYPOTHESES if row.about == about)
+    guesses = (first_told(case, row.hypotheses) for row in rows if row.when(case))
+    return next(filter(None, guesses), None)
+
 
 # Fraction of the share of the largest failure below which another is no symptom of it,
 # but a smaller one beside it, and explains nothing.
 MAX_MINOR = 0.2
-
-
-class Diagnosis(Mistake):
-    """Mistakes diagnosed from all failures together."""
-
-    ANY = "`sample` or `eval` is wrong"
-    NOT_DIVIDED_BY_CHANCE = """{who} weight lacks division by the probability with which
-        a direction is not rejected"""
-    SLIGHTLY = """{who}: one of their densities is wrong by {off:.2g} on average, less
-        than counts of directions tell at this effort"""
-    OTHER_MEAN = "{who}: the mean weight is not the integral of `eval`"
-    ONE_COMPONENT = "{who} is that of component {component} alone"
-    PLAIN_SUM = "{who} is the sum of its components', without the probability of each"
-
-
-# Sum of squared scores that counts of directions may hide.
-MAX_UNSEEN = 100
-
-# What is left where nothing explains a failure.
-ANY = Diagnosis.ANY(SAMPLE)
 
 
 def likely_mistake(
@@ -62,14 +149,8 @@ def likely_mistake(
     # what is of the interface explains nothing else
     failed = {n: x for n, x in failed.items() if not x == INTERFACE != worst}
     if not mi.is_polarized:
-        own = {name: shares[name] for name in failed if failed[name] == worst}
-        largest = max((x for x in own.values() if x is not None), default=0.0)
-        minor = {n for n, x in own.items() if x is not None and x < MAX_MINOR * largest}
-        wrong_mean = "weights" in failed and "sampled_weight" not in failed
-        if wrong_mean or "sampled_pdf" in failed:
-            # only counts explain a wrong mean, and tell which of two densities is right
-            minor.discard("sampling")
-        failed = {name: effect for name, effect in failed.items() if name not in minor}
+        failed = _symptoms(failed, shares, worst)
+    case = Case(evidence, failed)
 
     def rank(one: Question) -> tuple[bool, int, int]:
         """What explains others first, but for a law that a model may choose."""
@@ -79,133 +160,49 @@ def likely_mistake(
     questions = [one for one in evidence.questions if one.name in failed]
     if not mi.is_polarized:
         questions = [one for one in questions if failed[one.name] == worst]
-    for question in sorted(questions, key=rank):
-        if question.identity:
-            return next(filter(None, (guess(evidence, failed) for guess in ODD)))
-        if question.explain is not None:
-            guess = question.explain(evidence)
-        else:
-            guess = evidence.guess(question.name) or evidence.suspect(question.name)
+    for one in sorted(questions, key=rank):
+        guess = None
+        if not mi.is_polarized:
+            guess = told(case, TWO if one.identity else one.name)
+        guess = guess or evidence.guess(one.name) or evidence.suspect(one.name)
         if guess is not None:
             return guess
     return ANY
 
 
-# ------------------------------------------------ what contradicts the other functions
+def _symptoms(
+    failed: Mapping[str, str], shares: Mapping[str, float | None], worst: str
+) -> dict[str, str]:
+    """What fails but for smaller failures beside the largest one."""
+    own = {name: shares[name] for name in failed if failed[name] == worst}
+    largest = max((x for x in own.values() if x is not None), default=0.0)
+    minor = {n for n, x in own.items() if x is not None and x < MAX_MINOR * largest}
+    wrong_mean = "weights" in failed and "sampled_weight" not in failed
+    if wrong_mean or "sampled_pdf" in failed:
+        # only counts explain a wrong mean, and tell which of two densities is right
+        minor.discard("sampling")
+    return {name: effect for name, effect in failed.items() if name not in minor}
 
 
-def _noise(evidence: Evidence, failed: Mapping[str, str]) -> Guess | None:
-    """Weights that make up for directions rejected at random, or should."""
-    if failed.get("sampled_weight") != NOISE:
-        return None
-    if "weights" in failed:
-        return Diagnosis.NOT_DIVIDED_BY_CHANCE(SAMPLE)
-    noisy = [b for b in evidence.of("sampled_weight") if b.effect == NOISE]
-    return noisy[0].guess
+def explain_reciprocity(evidence: Evidence) -> None:
+    """Explain a lack of reciprocity by a power of the cosines, if one does.
 
-
-def _zero_where_lit(evidence: Evidence, failed: Mapping[str, str]) -> Guess | None:
-    """One of them is 0 where another is not, unless directions are elsewhere."""
-    if "weights" not in failed:
-        return None
-    guess = evidence.guess("weights")
-    if guess and guess.mistake is Weights.DARK_AND_IMPOSSIBLE:
-        return as_turned(evidence) or guess
-    return guess
-
-
-def _density_without_light(
-    evidence: Evidence, failed: Mapping[str, str]
-) -> Guess | None:
-    """A density where no light is."""
-    harmless = failed.get("sampling") == INTERFACE
-    return evidence.guess("sampling") if harmless else None
-
-
-def _without_counts(evidence: Evidence, failed: Mapping[str, str]) -> Guess | None:
-    """Where directions are drawn with the density of ``pdf``, as far as is known."""
-    if "sampling" in failed:
-        return None
-    if "sampled_pdf" in failed:
-        guess = explain(ratios_of(evidence, OF_SAMPLED_PDF), OF_SAMPLED_PDF)
-        off = _difference(evidence)
-        n = max((maps.totals.n for maps in evidence.maps), default=0)
-        if _density(evidence, failed) and n * off**2 < MAX_UNSEEN:
-            guess = Diagnosis.SLIGHTLY(SAMPLE | PDF, off=off)
-        return guess
-    if "weights" in failed and not evidence.of("sampled_weight"):
-        return _changed(evidence) or Diagnosis.OTHER_MEAN(EVAL | SAMPLE)
-    return explain_weights(evidence)
-
-
-def _difference(evidence: Evidence) -> float:
-    """Root mean square of the pdf of ``sample`` over that of ``pdf``, less 1."""
-    each = []
-    for samples in (*evidence.whole, *evidence.sweeps):
-        own = samples.usable & (samples.pdf > 0)
-        ratio = samples.sampled_pdf[own] / samples.pdf[own]
-        each.append(np.mean((ratio - 1) ** 2) if own.any() else 0.0)
-    return float(max(each, default=0.0)) ** 0.5
-
-
-def _changed(evidence: Evidence) -> Guess | None:
-    """What answers otherwise than where weights and ``eval`` still agreed."""
-    first = evidence.whole[0]
-    probe = Probe(evidence.bsdf, first.condition)
-    return next(map(Answers.OF_CALLS, asked_again(first, probe, exact=True)), None)
-
-
-def _density(evidence: Evidence, failed: Mapping[str, str]) -> Guess | None:
-    """A factor of ``pdf``, where `sample` returns another one and weights are right.
-
-    Unless these are `eval` over ``pdf``: then what `sample` returns is wrong.
+    If it does for all samples from all directions, within rounding, it is a mistake in
+    ``eval`` and no law of a model: of the whole, of a component that is asked alone, or
+    of the part of ``eval`` that a parameter changes. Where a lobe cannot be asked
+    alone, it is so if all is a sum, nowhere negative, of a right lobe and a wrong one,
+    which stays lit as wo falls to the horizon. One that means it so (Phong's, of 1975,
+    has no cosine) can declare NonSymmetric.
     """
-    known = "sampled_weight" in failed or "weights" in failed
-    if known or not evidence.of("sampled_pdf"):
-        return None
-    ratios = ratios_of(evidence, OF_PDF)
-    for one in ratios:
-        own = one.samples
-        off = unequal(own.flux, own.eval, own.eval_slack)
-        if beyond_rounding(off & one.wrong):
-            return explain(ratios_of(evidence, OF_SAMPLED_PDF), OF_SAMPLED_PDF)
-    return explain(ratios, OF_PDF)
-
-
-def _counts(evidence: Evidence, failed: Mapping[str, str]) -> Guess:
-    """Directions against ``pdf``."""
-    # a weight that is `eval` over a wrong `pdf` is wrong, too
-    by_pdf = not (evidence.of("sampled_weight") or evidence.of("sampled_pdf"))
-    return guess_of_counts(evidence, by_pdf or "weights" in failed) or ANY
-
-
-def _wrong_mixture(evidence: Evidence, _: Mapping[str, str]) -> Guess | None:
-    """How ``pdf`` combines its components wrongly; None if it is their mixture."""
-    samples = evidence.whole[0]
-    if evidence.bsdf.component_count() < 2 or not samples.smooth.any():
-        return None
-    each = alone(evidence, samples)
-
-    def is_it(density: Floats) -> bool:
-        differs = unequal(density, samples.pdf, samples.pdf_slack) & samples.smooth
-        return not beyond_rounding(differs)
-
-    if not are_apart(evidence.bsdf, samples, each) or each.pdf.any(axis=1).sum() < 2:
-        return None  # no component can be asked alone, or one is all
-    own = [i for i, density in enumerate(each.pdf) if is_it(density)]
-    if len(own) == 1:
-        return Diagnosis.ONE_COMPONENT(PDF, component=own[0])
-    whole = not own and is_it(each.pdf.sum(axis=0))
-    return Diagnosis.PLAIN_SUM(PDF) if whole else None
-
-
-# What is asked in turn; the first that knows tells.
-ODD = (
-    _noise,
-    _zero_where_lit,
-    _density_without_light,
-    _without_counts,
-    _wrong_mixture,
-    _density,
-    _counts,
-)
+    case = Case(evidence)
+    found = [b for b in evidence.of("reciprocity") if b.guess.functions is EVAL]
+    guess = told(case, "reciprocity") if found else None
+    if guess is None:
+        return
+    if guess.mistake is cosines.Cosine.OF_A_LOBE:
+        evidence.change(case.asymmetries, guess=guess)
+        return
+    worst = max(case.asymmetries or found, key=lambda one: one.size)
+    # a part of it may be seen at one direction
+    for one in [worst] if guess.fields["part"] else case.asymmetries:
+        evidence.change([one], effect=BIAS, guess=guess, size=1 + one.size)

@@ -1,24 +1,19 @@
-"""Factors that explain a ratio of two answers: a cosine, a Jacobian, a probability.
-
-And whether the weight of ``sample`` or ``eval`` is wrong, if anything tells.
-"""
+"""The ratio of two answers that should be equal, and the factor that explains it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 from typing import Any, NamedTuple
 
-import mitsuba as mi
 import numpy as np
 
 from ...array_types import Flags, Floats
-from ..conditions import Sweep
 from ..evidence import Evidence
 from ..mistakes import EVAL, PDF, SAMPLE, Function, Guess, Mistake
-from ..probe import Probe, is_delta, numbers, spectral, uniform
-from ..samples import Samples, beyond_rounding, ratio_of, unequal
+from ..samples import Samples, beyond_rounding, ratio_of
 
 # Likely factors that are forgotten, or there once too often, and how they read.
 FACTORS = {
@@ -60,45 +55,43 @@ class Factor(Mistake):
 
 
 @dataclass(frozen=True)
-class Between:
-    """Two answers that should be equal, of whose ratio one function is guilty.
+class Answer:
+    """One of two answers about samples that should be equal.
 
     Attributes
     ----------
-    guilty : Function
-    above, below : str
-        The answers, as attributes of samples.
+    function : Function
+        That is guilty if this answer is wrong.
+    name : str
+        Of it, as an attribute of samples.
     subject, words : str
-        That function's answer as the subject of "lacks a factor", and the ratio.
+        It as the subject of "lacks a factor", and its ratio to the other.
+    divisors : tuple of str
+        Factors by which it may not have been divided.
     """
 
-    guilty: Function
-    above: str
-    below: str
+    function: Function
+    name: str
     subject: str
     words: str
+    divisors: tuple[str, ...] = ()
 
 
-OF_SAMPLED_PDF = Between(
+SAMPLED_PDF = Answer(
     SAMPLE,
     "sampled_pdf",
-    "pdf",
     "the pdf that `sample` returns",
     "the pdf that `sample` returns: pdf, over `pdf`,",
 )
-OF_PDF = Between(
-    PDF, "pdf", "sampled_pdf", "`pdf`", "`pdf`, over the density of `sample`,"
-)
-OF_WEIGHT = Between(
+DENSITY = Answer(PDF, "pdf", "`pdf`", "`pdf`, over the density of `sample`,")
+WEIGHT = Answer(
     SAMPLE,
     "flux_by_pdf",
-    "eval",
     "`sample` weight",
     "`sample`: weight times pdf, over `eval`,",
+    divisors=("component", "pdf"),
 )
-OF_EVAL = Between(
-    EVAL, "eval", "flux_by_pdf", "`eval`", "`eval`: value, over weight times pdf,"
-)
+VALUE = Answer(EVAL, "eval", "`eval`", "`eval`: value, over weight times pdf,")
 
 # Largest distance from 1, for nine samples in ten, of a ratio that is explained; and of
 # one whose factor is known from frequencies only.
@@ -139,19 +132,24 @@ class Ratio:
     mask: Flags
 
     @property
+    def off(self) -> Flags:
+        """Mask of the values that are not 1."""
+        return np.abs(self.values - 1) > TOLERANCE
+
+    @property
     def wrong(self) -> Flags:
         """Mask of all samples whose ratio is not 1."""
         wrong = np.zeros(self.samples.n, dtype=bool)
-        wrong[self.mask] = np.abs(self.values - 1) > TOLERANCE
+        wrong[self.mask] = self.off
         return wrong
 
-    @property
-    def off(self) -> float:
-        """Mean distance from 1."""
-        return float(np.abs(self.values - 1).mean())
+    def uvs(self, mask: Flags | slice) -> set[tuple[float, ...]]:
+        """Places on the surface of some samples, of a sweep or all in one."""
+        uvs = self.samples.condition.uvs
+        return set(map(tuple, uvs[mask])) if uvs.ndim > 1 else {tuple(uvs)}
 
 
-class _Found(NamedTuple):
+class Found(NamedTuple):
     """A factor that explains a ratio, its power, and a constant besides."""
 
     name: str
@@ -159,347 +157,186 @@ class _Found(NamedTuple):
     constant: float = 1.0
 
 
-def ratios_of(evidence: Evidence, two: Between) -> list[Ratio]:
+@dataclass(frozen=True)
+class Ratios:
     """Ratios of two answers, for the samples of each condition."""
-    ratios = []
-    for samples in (*evidence.whole, *evidence.sweeps, *evidence.in_radiance_mode):
-        ok = samples.smooth & (samples.pdf > 0) & np.isfinite(samples.pdf)
-        ok &= np.isfinite(samples.sampled_pdf) & (np.abs(samples.wo[:, 2]) > 1e-4)
-        over = getattr(samples, two.above).reshape(samples.n, -1)
-        under = getattr(samples, two.below).reshape(samples.n, -1)
-        for answer in (over, under):
-            ok &= np.isfinite(answer).all(axis=1) & (answer > 0).any(axis=1)
-        if ok.any():
-            ratios.append(Ratio(ratio_of(over[ok], under[ok]), samples, ok))
-    return ratios
+
+    above: Answer
+    below: Answer
+    each: tuple[Ratio, ...]
+
+    @classmethod
+    def of(cls, evidence: Evidence, above: Answer, below: Answer) -> Ratios:
+        """Ratios of all samples that have both answers."""
+        ratios = []
+        for samples in (*evidence.whole, *evidence.sweeps, *evidence.in_radiance_mode):
+            ok = samples.smooth & (samples.pdf > 0) & np.isfinite(samples.pdf)
+            ok &= np.isfinite(samples.sampled_pdf) & (np.abs(samples.wo[:, 2]) > 1e-4)
+            over, under = (
+                getattr(samples, one.name).reshape(samples.n, -1)
+                for one in (above, below)
+            )
+            for answer in (over, under):
+                ok &= np.isfinite(answer).all(axis=1) & (answer > 0).any(axis=1)
+            if ok.any():
+                ratios.append(Ratio(ratio_of(over[ok], under[ok]), samples, ok))
+        return cls(above, below, tuple(ratios))
+
+    def blame(self, function: Function) -> Guess:
+        """Mistake of that one of both functions."""
+        if function is not self.above.function:
+            each = tuple(replace(one, values=1 / one.values) for one in self.each)
+            return Ratios(self.below, self.above, each).blame(function)
+        names = {"subject": self.above.subject, "words": self.above.words}
+        if not self.each:
+            return Factor.CONTRADICTS(function, **names)
+        found = self.found
+        if found is None:
+            return Factor.RATIO(function, ratio=self.in_numbers, **names)
+        mistakes, where = (Factor.TOO_MUCH, Factor.LACKS), self.where
+        if found.name in self.above.divisors:
+            # a factor too much, by which it was never divided
+            mistakes = Factor.NOT_DIVIDED, Factor.DIVIDED_TWICE
+        if found.constant != 1:
+            where = f", and an additional factor of {found.constant:.4g}"
+        mistake, factor = mistakes[found.power < 0], FACTORS[found.name]
+        return mistake(function, factor=factor, where=where, **names)
+
+    def blame_either(self) -> Guess:
+        """How they differ, where nothing tells which of both functions is wrong."""
+        both = self.above.function | self.below.function
+        found, middle = self.found, float(np.median(self.wrong[0].values))
+        if all(is_one(one.values / middle) for one in self.wrong):
+            text = f"{middle:.4g}"
+            if found is not None:
+                text = f"{'' if found.power > 0 else '1/'}{FACTORS[found.name]}"
+            return Factor.CONSTANT(both, factor=text, where=self.where)
+        if found is None:
+            return Factor.EITHER(both, ratio=self.in_numbers, where="")
+        text = FACTORS[found.name]
+        if found.power < 0:
+            text = f"{found.constant:.4g} over {text}"
+        elif found.constant != 1:
+            text = f"{found.constant:.4g} times {text}"
+        return Factor.EITHER(both, ratio=f"is {text}", where=self.where)
+
+    @cached_property
+    def wrong(self) -> tuple[Ratio, ...]:
+        """Those that are wrong; all of them if none stands out."""
+        wrong = tuple(one for one in self.each if not is_one(one.values))
+        # or of a few samples only
+        few = tuple(one for one in self.each if beyond_rounding(one.wrong))
+        return wrong or few or self.each
+
+    @cached_property
+    def found(self) -> Found | None:
+        """Factor that explains those that are wrong; None if none does."""
+        known = {
+            name: [factor(name, one.samples, one.mask) for one in self.wrong]
+            for name in FACTORS
+            if name != "masking"
+        }
+        # a constant may come with factors that vary
+        varying = [one for one in known if one not in (*NUMBERS, "component", "eta2")]
+        alone = product([False], known, (1, -1))
+        for with_constant, name, power in (*alone, *product([True], varying, (1, -1))):
+            if _is_trivial(name, known[name]):
+                continue
+            both = zip(self.wrong, known[name])
+            rests = [one.values / x**power for one, x in both]
+            constant = float(np.median(rests[0])) if with_constant else 1.0
+            near = COMPONENT_TOLERANCE if name == "component" else TOLERANCE
+            if all(is_one(rest / constant, near) for rest in rests):
+                return Found(name, power, constant)
+        masking = (Found("masking", k) for k in (1, -1) if self._is_masking(k))
+        return next(masking, None)
+
+    @property
+    def varies(self) -> bool:
+        """Whether a factor that varies with the directions explains them."""
+        found = self.found if self.each else None
+        return found is not None and found.name not in NUMBERS
+
+    def _is_masking(self, power: int) -> bool:
+        """Whether GGX's G1(wo) to a power explains, of roughnesses that fit best."""
+        wo = np.concatenate([one.samples.wo[one.mask] for one in self.wrong])
+        g1 = np.concatenate([one.values for one in self.wrong]) ** power
+        # (2 / G1 - 1)^2 - 1 is a sum of the squares of both roughnesses
+        slopes = (wo[:, :2] / wo[:, 2:]) ** 2
+        size = 1 + slopes.sum(axis=1)
+        excess = ((2 / np.maximum(g1, 1e-9) - 1) ** 2 - 1) / size
+        alpha2 = np.linalg.lstsq(slopes / size[:, None], excess, rcond=None)[0]
+        fitted = 2 / (1 + np.sqrt(1 + slopes @ np.maximum(alpha2, 0)))
+        return bool((alpha2 > MIN_ALPHA2).all() and is_one(g1 / fitted))
+
+    @property
+    def in_numbers(self) -> str:
+        """Text on how large they are, and where."""
+        values = np.concatenate([one.values for one in self.wrong])
+        off = np.concatenate([one.off for one in self.wrong])
+        values = values[off] if off.any() else values
+        low, middle, high = np.quantile(values, [0.05, 0.5, 0.95])
+        place = ", ".join(self._places())
+        if high - low < TOLERANCE * middle:
+            return f"is {middle:.4g} {place or 'everywhere'}"
+        text = f"is {low:.4g} to {high:.4g}, median {middle:.4g}"
+        return f"{text}, {place}" if place else text
+
+    @property
+    def where(self) -> str:
+        """Text on the incident directions at which they are wrong; empty if at all.
+
+        It names the place on the surface if only that one is wrong.
+        """
+        n, wrong = len(self.each), self.wrong
+        if len(wrong) == n:
+            return ""
+        more = f", and at {len(wrong) - 1} more of {n}" if len(wrong) > 1 else ""
+        right = [one for one in self.each if not any(one is other for other in wrong)]
+        wrong_uvs = {uv for one in wrong for uv in one.uvs(one.wrong)}
+        right_uvs = {uv for one in right for uv in one.uvs(slice(None))}
+        worst = self._worst
+        first = worst.samples.condition
+        u, v = first.uv
+        told = first.uvs.ndim > 1 or wrong_uvs & right_uvs
+        uv = "" if told else f", uv ({u:g}, {v:g})"
+        return f" at {first.place(worst.wrong)}{uv}{more}"
+
+    @property
+    def _worst(self) -> Ratio:
+        return max(self.wrong, key=lambda one: np.abs(one.values - 1).mean())
+
+    def _places(self) -> Iterable[str]:
+        """Texts on where they are wrong; none if everywhere."""
+        worst, off = self._worst, self._worst.off
+        wo = worst.samples.wo[worst.mask]
+        if self.where:
+            yield self.where.strip()
+        if not 0 < off.mean() < 0.95:
+            return
+        reflected = worst.samples.reflected[worst.mask]
+        for side, name in ((reflected, "illuminated side"), (~reflected, "other side")):
+            if side[off].all() and not side.all():
+                yield f"on the {name}"
+        theta = np.degrees(np.arccos(np.clip(np.abs(wo[off, 2]), 0, 1)))
+        low, high = np.quantile(theta, [0.05, 0.95])
+        share = f"{100 * off.mean():.3g} % of the samples"
+        yield f"for {share}, with theta_o {low:.0f} to {high:.0f}"
+        for axis, name in ((0, "wo.x"), (1, "wo.y")):
+            signs = np.sign(wo[off, axis])
+            if abs(signs.sum()) == len(signs) and np.ptp(np.sign(wo[:, axis])) > 0:
+                yield f"{name} {'> 0' if signs[0] > 0 else '< 0'}"
 
 
-def explain(ratios: Sequence[Ratio], two: Between) -> Guess:
-    """Mistake of the function that is guilty of ratios of two answers."""
-    names, wrong = {"subject": two.subject, "words": two.words}, _wrong(ratios)
-    if not wrong:
-        return Factor.CONTRADICTS(two.guilty, **names)
-    found = _find(wrong)
-    if found is None:
-        return Factor.RATIO(two.guilty, ratio=_in_numbers(wrong, ratios), **names)
-    mistakes = Factor.TOO_MUCH, Factor.LACKS
-    if two is OF_WEIGHT and found.name in ("component", "pdf"):
-        # weight times pdf has a factor too much: it was never divided by it
-        mistakes = Factor.NOT_DIVIDED, Factor.DIVIDED_TWICE
-    where = _where(wrong, ratios)
-    if found.constant != 1:
-        where = f", and an additional factor of {found.constant:.4g}"
-    mistake, factor = mistakes[found.power < 0], FACTORS[found.name]
-    return mistake(two.guilty, factor=factor, where=where, **names)
-
-
-def _explain_neutrally(ratios: Sequence[Ratio]) -> Guess:
-    """Ratio of weight and ``eval`` where nothing tells which of them is wrong."""
-    wrong = _wrong(ratios)
-    found, where = _find(wrong), _where(wrong, ratios)
-    middle = float(np.median(wrong[0].values))
-    if all(_is_one(one.values / middle) for one in wrong):
-        text = f"{middle:.4g}"
-        if found is not None:
-            text = f"{'' if found.power > 0 else '1/'}{FACTORS[found.name]}"
-        return Factor.CONSTANT(EVAL | SAMPLE, factor=text, where=where)
-    if found is None:
-        text = _in_numbers(wrong, ratios)
-        return Factor.EITHER(EVAL | SAMPLE, ratio=text, where="")
-    text = FACTORS[found.name]
-    if found.power < 0:
-        text = f"{found.constant:.4g} over {text}"
-    elif found.constant != 1:
-        text = f"{found.constant:.4g} times {text}"
-    return Factor.EITHER(EVAL | SAMPLE, ratio=f"is {text}", where=where)
-
-
-def has_known_factor(ratios: Sequence[Ratio]) -> bool:
-    """Whether a factor that varies with the directions explains ratios."""
-    found = _find(_wrong(ratios)) if ratios else None
-    return found is not None and found.name not in NUMBERS
-
-
-def _wrong(ratios: Sequence[Ratio]) -> Sequence[Ratio]:
-    """Ratios that are wrong; all of them if none stands out."""
-    wrong = [one for one in ratios if not _is_one(one.values)]
-    # or of a few samples only
-    return wrong or [one for one in ratios if beyond_rounding(one.wrong)] or ratios
-
-
-def _is_one(values: Floats, tolerance: float = TOLERANCE) -> bool:
+def is_one(values: Floats, tolerance: float = TOLERANCE) -> bool:
+    """Whether nine ratios in ten are 1."""
     low, high = np.quantile(values, [0.05, 0.95])
     return low > 1 - tolerance and high < 1 + tolerance
 
 
-def _find(ratios: Sequence[Ratio]) -> _Found | None:
-    """Factor that explains ratios; None if none does."""
-    known = {
-        name: [factor(name, one.samples, one.mask) for one in ratios]
-        for name in FACTORS
-        if name != "masking"
-    }
-    # a constant may come with factors that vary
-    varying = [one for one in known if one not in (*NUMBERS, "component", "eta2")]
-    alone = product([False], known, (1, -1))
-    for with_constant, name, power in (*alone, *product([True], varying, (1, -1))):
-        if _is_trivial(name, known[name]):
-            continue
-        rests = [ratio.values / x**power for ratio, x in zip(ratios, known[name])]
-        constant = float(np.median(rests[0])) if with_constant else 1.0
-        near = COMPONENT_TOLERANCE if name == "component" else TOLERANCE
-        if all(_is_one(rest / constant, near) for rest in rests):
-            return _Found(name, power, constant)
-    masking = next((k for k in (1, -1) if _is_masking(ratios, k)), None)
-    return None if masking is None else _Found("masking", masking)
-
-
-def _is_masking(ratios: Sequence[Ratio], power: int) -> bool:
-    """Whether a power of GGX's G1(wo) explains ratios, of roughnesses that fit best."""
-    wo = np.concatenate([one.samples.wo[one.mask] for one in ratios])
-    g1 = np.concatenate([one.values for one in ratios]) ** power
-    # (2 / G1 - 1)^2 - 1 is a sum of the squares of both roughnesses
-    slopes = (wo[:, :2] / wo[:, 2:]) ** 2
-    size = 1 + slopes.sum(axis=1)
-    excess = ((2 / np.maximum(g1, 1e-9) - 1) ** 2 - 1) / size
-    alpha2 = np.linalg.lstsq(slopes / size[:, None], excess, rcond=None)[0]
-    fitted = 2 / (1 + np.sqrt(1 + slopes @ np.maximum(alpha2, 0)))
-    return bool((alpha2 > MIN_ALPHA2).all() and _is_one(g1 / fitted))
-
-
-def _is_trivial(name: str, values: Sequence[Floats]) -> bool:
+def _is_trivial(name: str, values: Iterable[Floats]) -> bool:
     """Whether a factor is 1 everywhere, or constant though it should vary."""
     constant = all(np.ptp(v) < 1e-6 for v in values)
     if constant and name not in (*NUMBERS, "eta2"):
         return True
     return all(np.abs(v - 1).max() < 1e-6 for v in values)
-
-
-def _in_numbers(ratios: Sequence[Ratio], everything: Sequence[Ratio]) -> str:
-    """Text on how large ratios are, and where."""
-    values = np.concatenate([ratio.values for ratio in ratios])
-    wrong = np.abs(values - 1) > TOLERANCE
-    values = values[wrong] if wrong.any() else values
-    low, middle, high = np.quantile(values, [0.05, 0.5, 0.95])
-    place = _place(ratios, everything)
-    if high - low < TOLERANCE * middle:
-        return f"is {middle:.4g} {place or 'everywhere'}"
-    text = f"is {low:.4g} to {high:.4g}, median {middle:.4g}"
-    return f"{text}, {place}" if place else text
-
-
-def _where(ratios: Sequence[Ratio], everything: Sequence[Ratio]) -> str:
-    """Text on the incident directions at which ratios are wrong; empty if at all.
-
-    It names the place on the surface if only that one is wrong.
-    """
-    n = len(everything)
-    if len(ratios) == n:
-        return ""
-    worst = max(ratios, key=lambda ratio: ratio.off)
-    first = worst.samples.condition
-    more = f", and at {len(ratios) - 1} more of {n}" if len(ratios) > 1 else ""
-    right = [one for one in everything if not any(one is other for other in ratios)]
-    wrong_uvs = {uv for one in ratios for uv in _uvs(one, one.wrong)}
-    right_uvs = {uv for one in right for uv in _uvs(one, slice(None))}
-    u, v = first.uv
-    told = first.uvs.ndim > 1 or wrong_uvs & right_uvs
-    uv = "" if told else f", uv ({u:g}, {v:g})"
-    return f" at {first.place(worst.wrong)}{uv}{more}"
-
-
-def _uvs(ratio: Ratio, mask: Flags | slice) -> set[tuple[float, ...]]:
-    """Places on the surface of some samples, of a sweep or all in one."""
-    uvs = ratio.samples.condition.uvs
-    return set(map(tuple, uvs[mask])) if uvs.ndim > 1 else {tuple(uvs)}
-
-
-def _place(ratios: Sequence[Ratio], everything: Sequence[Ratio]) -> str:
-    """Text on where ratios are wrong; empty if everywhere."""
-    worst = max(ratios, key=lambda ratio: ratio.off)
-    wo = worst.samples.wo[worst.mask]
-    reflected = worst.samples.reflected[worst.mask]
-    wrong = np.abs(worst.values - 1) > TOLERANCE
-    words = [text] if (text := _where(ratios, everything).strip()) else []
-    if 0 < wrong.mean() < 0.95:
-        for side, name in ((reflected, "illuminated side"), (~reflected, "other side")):
-            if side[wrong].all() and not side.all():
-                words.append(f"on the {name}")
-        theta = np.degrees(np.arccos(np.clip(np.abs(wo[wrong, 2]), 0, 1)))
-        low, high = np.quantile(theta, [0.05, 0.95])
-        words.append(
-            f"for {100 * wrong.mean():.3g} % of the samples, with theta_o {low:.0f} to "
-            f"{high:.0f}"
-        )
-        for axis, name in ((0, "wo.x"), (1, "wo.y")):
-            signs = np.sign(wo[wrong, axis])
-            if abs(signs.sum()) == len(signs) and np.ptp(np.sign(wo[:, axis])) > 0:
-                words.append(f"{name} {'> 0' if signs[0] > 0 else '< 0'}")
-    return ", ".join(words)
-
-
-# --------------------------------------------------- the weight of `sample`, and `eval`
-
-# Weight times pdf is one account of the BSDF, ``eval`` another. Where they differ, each
-# may be wrong, unless one of them gains flux that the other does not, or is reciprocal
-# where the other is not, or depends on the lobe that was picked.
-
-# Pairs of directions that are exchanged, samples of the way back, the cosine of the
-# angle within which such a sample is near to that way, and how many there must be.
-N_PAIRS = 24
-N_BACK = 2**16
-MIN_COSINE = np.cos(np.radians(3.0))
-MIN_NEARBY = 12
-
-# Logarithms of ratios that are as good as 0, and such that are not; the fraction of the
-# pairs that must be the one for a reciprocal account, the other for one that is not.
-MAX_LOG_SAME, MIN_LOG_OTHER = 0.03, 0.1
-MIN_SAME, MIN_OTHER = 0.9, 0.15
-
-
-def explain_weights(evidence: Evidence) -> Guess:
-    """Function and mistake, where weight times pdf is not ``eval``.
-
-    Directions are drawn with the density of ``pdf``, or that could not be decided.
-    """
-    whole = evidence.of("sampled_weight")
-    if whole and all(b.condition and b.condition.component is not None for b in whole):
-        # only single components disagree
-        worst = max(evidence.of("components") or whole, key=lambda b: b.size)
-        return worst.guess
-    ratios = ratios_of(evidence, OF_WEIGHT)
-    if not ratios:
-        return Factor.OTHER_SUMS(SAMPLE)
-    if colours := _exchanged_colours(ratios):
-        return Factor.COLOURS(EVAL | SAMPLE, colours=colours)
-    if _is_of_lobe_alone(evidence):
-        return Factor.OF_LOBE_ALONE(SAMPLE)
-    guilty = _by_energy(evidence)
-    if not guilty and not int(evidence.bsdf.flags()) & int(mi.BSDFFlags.NonSymmetric):
-        guilty = _by_reciprocity(evidence.bsdf, ratios)
-    if guilty is EVAL:
-        inverse = [replace(one, values=1 / one.values) for one in ratios]
-        return explain(inverse, OF_EVAL)
-    return explain(ratios, OF_WEIGHT) if guilty else _explain_neutrally(ratios)
-
-
-# Colours that may be exchanged, by the order of channels that takes it back.
-COLOURS = {
-    "red and blue": [2, 1, 0],
-    "red and green": [1, 0, 2],
-    "green and blue": [0, 2, 1],
-}
-
-
-def _exchanged_colours(ratios: Sequence[Ratio]) -> str:
-    """Names of two colours that weights and ``eval`` exchange; empty if none."""
-    samples, ok = ratios[0].samples, ratios[0].mask
-
-    def differ(order: list[int]) -> bool:
-        value, slack = samples.eval[:, order], samples.eval_slack[:, order]
-        return beyond_rounding(unequal(samples.flux_by_pdf, value, slack) & ok)
-
-    if samples.eval.shape[1] != 3 or not differ([0, 1, 2]):
-        return ""
-    return next((words for words, one in COLOURS.items() if not differ(one)), "")
-
-
-def _by_energy(evidence: Evidence) -> Function | None:
-    """Whichever of both gains light; None if neither or both do."""
-    whole = [m for m in evidence.maps if m.condition.component is None]
-    whole = [m for m in whole if m.condition.mode == "importance"]
-    flux = max((m.smooth_flux.max() for m in whole), default=0.0)
-    mean = max((m.totals.mean.max() for m in whole), default=0.0)
-    discrete = max((m.totals.delta_mean.max() for m in whole), default=0.0)
-    if flux + discrete > 1.001 > mean:
-        return EVAL
-    return SAMPLE if mean > 1.001 > flux + discrete else None
-
-
-def _by_reciprocity(bsdf: mi.BSDF, ratios: Sequence[Ratio]) -> Function | None:
-    """Whichever of both is not reciprocal while the other is; None if none is.
-
-    Not for plugins that declare NonSymmetric, whose right function may be the one that
-    is not reciprocal.
-
-    Weights are known only for samples. So light is sent back along some samples, and
-    the directions that come near to the incident one are compared.
-    """
-    usable = [
-        one
-        for one in ratios
-        if one.samples.condition.mode == "importance"
-        if not isinstance(one.samples.condition, Sweep)
-    ]
-    # neither steep nor grazing, where all is symmetric or nothing is met
-    usable.sort(key=lambda one: abs(one.samples.condition.theta_i - 45))
-    pairs: list[tuple[float, float, float]] = []
-    for ratio in usable[:4]:
-        own, index = ratio.samples, np.flatnonzero(ratio.mask)
-        # of sums over channels, as those of the way back
-        logs = np.log(own.flux_by_pdf[index].sum(axis=1) / own.eval[index].sum(axis=1))
-        wrong = own.reflected[index] & (np.abs(logs) > MAX_LOG_SAME)
-        for k in np.flatnonzero(wrong)[:N_PAIRS]:
-            back = _way_back(bsdf, own, int(index[k]))
-            if back is not None:
-                of_eval, log_ratio, unsure = back
-                pairs.append((of_eval, of_eval + float(logs[k]) - log_ratio, unsure))
-        if len(pairs) >= N_PAIRS:
-            break
-    if len(pairs) < N_PAIRS // 2:
-        return None
-    by_eval, by_weights, slack = np.abs(np.array(pairs)).T
-    either = (SAMPLE, by_eval, by_weights), (EVAL, by_weights, by_eval)
-    for guilty, right, wrong in either:
-        same = np.mean(right < MAX_LOG_SAME + slack)
-        other = np.mean(wrong > MIN_LOG_OTHER + slack)
-        if same > MIN_SAME and other > MIN_OTHER:
-            return guilty
-    return None
-
-
-def _way_back(
-    bsdf: mi.BSDF, samples: Samples, k: int
-) -> tuple[float, float, float] | None:
-    """Logarithms for a sample: f there over f back, the ratio of weights back, slack.
-
-    That ratio is a linear function of the direction near by; what is left is slack.
-    """
-    wi, wo = samples.condition.wi, samples.wo[k]
-    there = samples.eval[k].sum() / abs(wo[2])
-    back = samples.reverse[k].sum() / abs(wi[2])
-    if not (there > 0 and back > 0 and abs(wo[2]) > 0.1):
-        return None
-    probe = Probe(bsdf, samples.condition.lit_from(wo))
-    bs, sampled = probe.sample(*uniform(N_BACK, (k, 61)))
-    towards, weight = spectral(bs.wo, N_BACK), spectral(sampled, N_BACK).sum(axis=1)
-    value = probe.values(towards).sum(axis=1)
-    over = weight * probe.densities(towards)
-    near = (towards @ wi > MIN_COSINE) & ~numbers(is_delta(bs), N_BACK)
-    near &= (value > 0) & (over > 0)
-    if np.count_nonzero(near) < MIN_NEARBY:
-        return None
-    logs = np.log(over[near] / value[near])
-    off = np.column_stack([np.ones(len(logs)), (towards[near] - wi)[:, :2]])
-    plane = np.linalg.lstsq(off, logs, rcond=None)[0]
-    slack = 2 * np.sqrt(np.mean((logs - off @ plane) ** 2))
-    return float(np.log(there / back)), float(plane[0]), float(slack)
-
-
-def _is_of_lobe_alone(evidence: Evidence) -> bool:
-    """Whether each weight is that of the picked component as if it were alone."""
-    n, samples = evidence.bsdf.component_count(), evidence.samples[0]
-    if n < 2 or samples.condition.component is not None:
-        return False
-    ratios = []
-    for i in range(n):
-        own = samples.smooth & (samples.component == i)
-        if own.any():
-            probe = Probe(evidence.bsdf, replace(samples.condition, component=i))
-            value = probe.values(samples.wo)[own].sum(axis=1)
-            over = samples.weight[own].sum(axis=1) * probe.densities(samples.wo)[own]
-            ratios.append(over / np.maximum(value, 1e-30))
-    if len(ratios) < 2:
-        return False
-    low, high = np.quantile(np.concatenate(ratios), [0.02, 0.98])
-    return low > 0.998 and high < 1.002
