@@ -91,7 +91,7 @@ def test_twin_a_guess_by_words_is_seen(monkeypatch):
         guesses = (one.guess for one in case.evidence.breaches)
         return next((one for one in guesses if "weight" in str(one)), None)
 
-    first = hypotheses.asked(hypotheses.TWO, hypotheses.Case.always, of_words)
+    first = hypotheses.TWO, (), (of_words,)
     rows = (first, *hypotheses.HYPOTHESES)
     monkeypatch.setattr(hypotheses, "HYPOTHESES", rows)
     name = "weight_with_cosine"

@@ -10,7 +10,7 @@ import mitsuba as mi
 
 from ..checks.components import Alone, alone, are_apart
 from ..checks.weights import Weights
-from ..evidence import INTERFACE, MODEL, NOISE, Breach, Evidence
+from ..evidence import MODEL, Breach, Evidence
 from ..maps import FourMaps
 from ..mistakes import EVAL, Mistake
 from ..samples import Samples
@@ -53,15 +53,11 @@ class Case:
 
     # ------------------------------------------------------------------------- when
 
-    def always(self) -> bool:
-        """Whatever fails."""
-        return True
-
     def is_asymmetric(self) -> bool:
         """``eval`` of the whole is not reciprocal."""
         return bool(self.asymmetries)
 
-    def is_asymmetric_often(self) -> bool:
+    def is_often_asymmetric(self) -> bool:
         """So it is for more than one incident direction."""
         return len(self.asymmetries) > 1
 
@@ -74,77 +70,43 @@ class Case:
         """``eval`` is not reciprocal, and no component can be asked alone."""
         return self.is_asymmetric() and not self.components_tell()
 
-    def is_noisy(self) -> bool:
-        """Weights are not ``eval`` over ``pdf``, which adds noise alone."""
-        return self.failed.get("sampled_weight") == NOISE
-
-    def mean_is_wrong(self) -> bool:
-        """The mean of the weights is not the integral of ``eval``."""
-        return "weights" in self.failed
-
-    def is_noisy_and_wrong(self) -> bool:
-        """Both."""
-        return self.is_noisy() and self.mean_is_wrong()
+    def is_symmetric(self) -> bool:
+        """No law is declared that is not reciprocal."""
+        flags = int(self.evidence.bsdf.flags())
+        return not flags & int(mi.BSDFFlags.NonSymmetric)
 
     def is_dark(self) -> bool:
         """``eval`` and ``pdf`` are 0 where `sample` scatters light."""
         guess = self.evidence.guess("weights")
-        dark = guess is not None and guess.mistake is Weights.DARK_AND_IMPOSSIBLE
-        return dark and self.mean_is_wrong()
+        return guess is not None and guess.mistake is Weights.DARK_AND_IMPOSSIBLE
 
-    def density_is_unlit(self) -> bool:
-        """Directions are not those of ``pdf`` only where no light is."""
-        return self.failed.get("sampling") == INTERFACE
+    def has_no_light(self) -> bool:
+        """No sample has a weight and a value to compare."""
+        return not self.light.each
 
-    def directions_hold(self) -> bool:
-        """Directions are drawn with the density of ``pdf``, as far as is known."""
-        return "sampling" not in self.failed
-
-    def densities_differ(self) -> bool:
-        """The pdf of `sample` is not ``pdf``, which directions do not contradict."""
-        return self.directions_hold() and "sampled_pdf" in self.failed
-
-    def mean_alone_is_wrong(self) -> bool:
-        """The mean of the weights, of which each is ``eval`` over ``pdf``."""
-        differ = self.evidence.of("sampled_weight")
-        return self.directions_hold() and self.mean_is_wrong() and not differ
-
-    def single_components_differ(self) -> bool:
+    def components_differ(self) -> bool:
         """Weights of single components alone are not ``eval`` over ``pdf``."""
         at = [one.condition for one in self.evidence.of("sampled_weight")]
-        alone = at and all(one and one.component is not None for one in at)
-        return self.directions_hold() and bool(alone)
+        return bool(at) and all(one and one.component is not None for one in at)
 
-    def reciprocity_tells(self) -> bool:
-        """Directions hold, and no law is declared that is not reciprocal."""
-        declared = int(self.evidence.bsdf.flags()) & int(mi.BSDFFlags.NonSymmetric)
-        return self.directions_hold() and not declared
-
-    def other_density_is_returned(self) -> bool:
-        """By `sample`, whose weights are right, than ``pdf``."""
-        wrong = self.mean_is_wrong() or "sampled_weight" in self.failed
-        return not wrong and bool(self.evidence.of("sampled_pdf"))
-
-    def densities_may_mix(self) -> bool:
-        """There are several components, of which some have a density."""
+    def has_several_components(self) -> bool:
+        """Several components, of which some have a density."""
         several = self.evidence.bsdf.component_count() > 1
         return several and bool(self.evidence.whole[0].smooth.any())
 
-    def chance_explains_maps(self) -> bool:
+    def weights_are_right(self) -> bool:
+        """Weights are those of the true density, as far as is known."""
+        # those that are `eval` over a wrong `pdf` are wrong, too
+        by_pdf = not any(map(self.evidence.of, ("sampled_weight", "sampled_pdf")))
+        return not by_pdf and "weights" not in self.failed
+
+    def chance_explains_counts(self) -> bool:
         """Directions are wrong in a band of incidence only, that no map has met."""
         return not self.maps or self.worst.misfit < MAX_CHANCE
 
     def is_not_counted(self) -> bool:
         """There are no maps of directions."""
         return not self.maps
-
-    def weights_are_right(self) -> bool:
-        """Weights are those of the true density, as far as is known."""
-        # a weight that is `eval` over a wrong `pdf` is wrong, too
-        of_density = self.evidence.of("sampled_weight") or self.evidence.of(
-            "sampled_pdf"
-        )
-        return bool(of_density) and not self.mean_is_wrong()
 
     # ------------------------------------------------------------------------- facts
 
@@ -168,11 +130,6 @@ class Case:
     def maps(self) -> Sequence[FourMaps]:
         """Maps of all components together, or the `single` one."""
         return [self.single] if self.single else self.evidence.whole_maps
-
-    @property
-    def discrete(self) -> list[float]:
-        """Mean weights of discrete lobes, by map."""
-        return [float(one.totals.delta_mean.max()) for one in self.maps]
 
     @cached_property
     def worst(self) -> FourMaps:

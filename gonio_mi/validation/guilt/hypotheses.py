@@ -5,37 +5,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
 
 import mitsuba as mi
 
-from ..evidence import BIAS, EFFECTS, INTERFACE, MODEL, Evidence, Question
-from ..mistakes import EVAL, SAMPLE, Guess
-from . import cosines, counts, densities, light
+from ..evidence import BIAS, EFFECTS, INTERFACE, MODEL, NOISE, Evidence, Question
+from ..mistakes import EVAL, PDF, SAMPLE, Function, Guess
+from . import answers, cosines, counts
 from .case import Case, Diagnosis
+from .ratios import Factor
 
+# Whether hypotheses apply to a case, and what one of them guesses; None where it does
+# not know.
+Condition = Callable[[Case], bool]
 Hypothesis = Callable[[Case], Guess | None]
 
-
-class Asked(NamedTuple):
-    """Hypotheses about a failed property, and whether a case is one that they explain.
-
-    Each returns a guess, or None where it does not know.
-    """
-
-    about: str
-    when: Callable[[Case], bool]
-    hypotheses: tuple[Hypothesis, ...]
+# Fraction of the share of the largest failure below which another is no symptom of it,
+# but a smaller one beside it, and explains nothing.
+MAX_MINOR = 0.2
 
 
-def asked(about: str, when: Callable[[Case], bool], *hypotheses: Hypothesis) -> Asked:
-    """A row of `HYPOTHESES`."""
-    return Asked(about, when, hypotheses)
+def fails(name: str, *effects: str) -> Condition:
+    """A property fails, with one of these effects if some are given."""
+    return lambda case: case.failed.get(name) in (effects or EFFECTS)
 
 
-def plainly(guess: Guess) -> Hypothesis:
-    """What is known as soon as it is asked."""
+def holds(name: str) -> Condition:
+    """A property holds, or does not matter beside what fails."""
+    return lambda case: name not in case.failed
+
+
+def differs(name: str) -> Condition:
+    """Something was found that contradicts a property, whether that matters or not."""
+    return lambda case: bool(case.evidence.of(name))
+
+
+def agrees(name: str) -> Condition:
+    """Nothing was."""
+    return lambda case: not case.evidence.of(name)
+
+
+def known(guess: Guess) -> Hypothesis:
+    """What is so as soon as it is asked."""
     return lambda _: guess
 
 
@@ -44,94 +55,107 @@ def worst(name: str) -> Hypothesis:
     return lambda case: case.evidence.guess(name)
 
 
-def of_only_component(*hypotheses: Hypothesis) -> Hypothesis:
-    """Hypotheses about the only component whose counts are wrong."""
-
-    def tells(case: Case) -> Guess | None:
-        one = case.only_component
-        return first_told(one, hypotheses) if one else None
-
-    return tells
+def suspect(name: str) -> Hypothesis:
+    """What the worst test of a property tells."""
+    return lambda case: case.evidence.suspect(name)
 
 
-def first_told(case: Case, hypotheses: Iterable[Hypothesis]) -> Guess | None:
-    """Guess of the first hypothesis that knows; None if none does."""
-    return next(filter(None, (tells(case) for tells in hypotheses)), None)
+def light_of(functions: Function) -> Hypothesis:
+    """What the ratio of weight times pdf to ``eval`` tells of one of them, or both."""
+    return lambda case: case.light.blame(functions)
 
 
-# Guesses that nothing but the case tells.
+def density_of(function: Function) -> Hypothesis:
+    """What the ratio of the pdf of `sample` to ``pdf`` tells of one of them."""
+    return lambda case: case.densities.blame(function)
+
+
+def of_only_component(case: Case) -> Guess | None:
+    """What is asked `OF_ONE`, of the only component whose counts are wrong."""
+    one = case.only_component
+    return told(one, OF_ONE) if one else None
+
+
+# Guesses that a case alone tells.
 ANY = Diagnosis.ANY(SAMPLE)
 NOT_DIVIDED = Diagnosis.NOT_DIVIDED_BY_CHANCE(SAMPLE)
 OTHER_MEAN = Diagnosis.OTHER_MEAN(EVAL | SAMPLE)
+OTHER_SUMS = Factor.OTHER_SUMS(SAMPLE)
 
-# Properties that compare two functions: which is wrong, all of these tell together.
-TWO = "two functions"
+# Subjects beside the names of properties: what compares two functions, of which all
+# tell together; one component of several; and an ``eval`` that is not reciprocal, of
+# which it is asked what it is before it is known to fail.
+TWO, OF_ONE, ASYMMETRY = "two functions", "one component", "asymmetry"
 
-# Of counts, of all components together and of one alone.
+# Weights are right, and `sample` returns another density than ``pdf``.
+OTHER_PDF = holds("weights"), holds("sampled_weight"), differs("sampled_pdf")
+
+# Directions are those of ``pdf``, as far as is known: `sample` returns another one, or
+# the mean of the weights alone is wrong.
+OTHER_THAN_SAYS = holds("sampling"), fails("sampled_pdf")
+MEAN_ALONE = holds("sampling"), fails("weights"), agrees("sampled_weight")
+
+# What the counts of all components, or of one alone, are asked for.
 MASSES = (
-    counts.side_left_out,
-    counts.distorted,
-    counts.without_direction,
-    counts.unnormalised,
+    *(counts.side_left_out, counts.distorted),
+    *(counts.without_direction, counts.unnormalised),
 )
-ALONE = counts.other_than_alone, counts.other_probability
+LOBES = counts.other_than_alone, counts.other_probability
 
-HYPOTHESES = (
+# About which property, when, and what is asked in turn.
+HYPOTHESES: Sequence[tuple[str, Sequence[Condition], Sequence[Hypothesis]]] = (
     # a wrong cosine, of all of `eval` or of a part
-    asked("reciprocity", Case.is_asymmetric_often, cosines.of_the_whole),
-    asked("reciprocity", Case.components_tell, cosines.of_a_component),
-    asked("reciprocity", Case.is_asymmetric, cosines.of_a_parameter),
-    asked("reciprocity", Case.is_asymmetric, cosines.at_the_horizon),
-    asked("reciprocity", Case.is_asymmetric_as_one, cosines.of_a_lobe),
+    (ASYMMETRY, [Case.is_often_asymmetric], [cosines.of_the_whole]),
+    (ASYMMETRY, [Case.components_tell], [cosines.of_a_component]),
+    (ASYMMETRY, [Case.is_asymmetric], [cosines.of_a_parameter]),
+    (ASYMMETRY, [Case.is_asymmetric], [cosines.at_the_horizon]),
+    (ASYMMETRY, [Case.is_asymmetric_as_one], [cosines.of_a_lobe]),
     # light that comes from nowhere
-    asked("energy", Case.always, light.of_discrete_lobe, light.gained),
-    # what joint functions share
-    asked("eval_pdf_sample", Case.always, worst("eval_pdf")),
-    # directions that are rejected at random
-    asked(TWO, Case.is_noisy_and_wrong, plainly(NOT_DIVIDED)),
-    asked(TWO, Case.is_noisy, light.rejected_by_chance),
-    # one is 0 where another is not
-    asked(TWO, Case.is_dark, counts.turned),
-    asked(TWO, Case.mean_is_wrong, worst("weights")),
-    asked(TWO, Case.density_is_unlit, worst("sampling")),
-    # directions are those of `pdf`, as far as is known
-    asked(TWO, Case.densities_differ, densities.slightly_off, densities.of_sample),
-    asked(TWO, Case.mean_alone_is_wrong, light.changed_answers, plainly(OTHER_MEAN)),
-    asked(TWO, Case.single_components_differ, light.of_a_component),
-    asked(
-        TWO,
-        Case.directions_hold,
-        light.other_sums,
-        light.exchanged_colours,
-        light.of_lobe_alone,
-        light.whoever_gains,
-    ),
-    asked(TWO, Case.reciprocity_tells, light.whoever_is_asymmetric),
-    asked(TWO, Case.directions_hold, light.of_either),
+    ("energy", [], [answers.discrete_lobe, answers.gained_light]),
+    # joint functions are wrong alike
+    ("eval_pdf_sample", [], [worst("eval_pdf")]),
+    # directions are rejected at random
+    (TWO, [fails("sampled_weight", NOISE), fails("weights")], [known(NOT_DIVIDED)]),
+    (TWO, [fails("sampled_weight", NOISE)], [worst("sampled_weight")]),
+    # one function is 0 where another is not
+    (TWO, [fails("weights"), Case.is_dark], [counts.turned]),
+    (TWO, [fails("weights")], [worst("weights")]),
+    (TWO, [fails("sampling", INTERFACE)], [worst("sampling")]),
+    # the pdf that `sample` returns, which counts of directions would tell if they could
+    (TWO, [*OTHER_THAN_SAYS, *OTHER_PDF], [answers.slightly_off]),
+    (TWO, OTHER_THAN_SAYS, [density_of(SAMPLE)]),
+    # each weight is `eval` over `pdf`, and their mean is wrong
+    (TWO, MEAN_ALONE, [answers.changed_answers, known(OTHER_MEAN)]),
+    # weights are not `eval` over `pdf`, of which one may be wrong
+    (TWO, [holds("sampling"), Case.components_differ], [worst("components")]),
+    (TWO, [holds("sampling"), Case.components_differ], [worst("sampled_weight")]),
+    (TWO, [holds("sampling"), Case.has_no_light], [known(OTHER_SUMS)]),
+    (TWO, [holds("sampling")], [answers.exchanged_colours, answers.lobe_alone]),
+    (TWO, [holds("sampling")], [answers.whoever_gains]),
+    (TWO, [holds("sampling"), Case.is_symmetric], [answers.whoever_is_asymmetric]),
+    (TWO, [holds("sampling")], [light_of(EVAL | SAMPLE)]),
+    # directions are not those of `pdf`, which is another than that of `sample`
+    (TWO, [Case.has_several_components], [answers.wrong_mixture]),
+    (TWO, OTHER_PDF, [answers.returned_pdf, density_of(PDF)]),
     # directions are not those of `pdf`
-    asked(TWO, Case.densities_may_mix, densities.wrong_mixture),
-    asked(TWO, Case.other_density_is_returned, densities.of_sample_alone),
-    asked(TWO, Case.other_density_is_returned, densities.of_pdf),
-    asked(TWO, Case.chance_explains_maps, counts.suspect),
-    asked(TWO, Case.is_not_counted, plainly(ANY)),
-    asked(TWO, Case.always, counts.turned, *MASSES),
-    asked(TWO, Case.weights_are_right, counts.not_of_sample),
-    asked(TWO, Case.always, counts.rejected),
-    asked(TWO, Case.always, of_only_component(*MASSES, counts.rejected, *ALONE)),
-    asked(TWO, Case.always, *ALONE),
+    (TWO, [Case.chance_explains_counts], [suspect("sampling")]),
+    (TWO, [Case.is_not_counted], [known(ANY)]),
+    (TWO, [], [counts.turned, *MASSES]),
+    (TWO, [Case.weights_are_right], [counts.not_of_sample]),
+    (TWO, [], [counts.rejected]),
+    (TWO, [], [of_only_component, *LOBES]),
+    (OF_ONE, [], [*MASSES, counts.rejected, *LOBES]),
 )
 
 
 def told(case: Case, about: str) -> Guess | None:
-    """What the first of all hypotheses about a property that knows tells."""
-    rows = (row for row in HYPOTHESES if row.about == about)
-    guesses = (first_told(case, row.hypotheses) for row in rows if row.when(case))
-    return next(filter(None, guesses), None)
-
-
-# Fraction of the share of the largest failure below which another is no symptom of it,
-# but a smaller one beside it, and explains nothing.
-MAX_MINOR = 0.2
+    """Guess of the first hypothesis about a property that knows; None if none does."""
+    for name, conditions, hypotheses in HYPOTHESES:
+        if name == about and all(applies(case) for applies in conditions):
+            for tells in hypotheses:
+                if guess := tells(case):
+                    return guess
+    return None
 
 
 def likely_mistake(
@@ -148,8 +172,17 @@ def likely_mistake(
     worst = min(failed.values(), key=EFFECTS.index)
     # what is of the interface explains nothing else
     failed = {n: x for n, x in failed.items() if not x == INTERFACE != worst}
+    questions = evidence.questions
     if not mi.is_polarized:
-        failed = _symptoms(failed, shares, worst)
+        own = {name: shares[name] for name in failed if failed[name] == worst}
+        largest = max((x for x in own.values() if x is not None), default=0.0)
+        minor = {n for n, x in own.items() if x is not None and x < MAX_MINOR * largest}
+        wrong_mean = "weights" in failed and "sampled_weight" not in failed
+        if wrong_mean or "sampled_pdf" in failed:
+            # only counts explain a wrong mean, and tell which of two densities is right
+            minor.discard("sampling")
+        failed = {name: effect for name, effect in failed.items() if name not in minor}
+        questions = [one for one in questions if failed.get(one.name) == worst]
     case = Case(evidence, failed)
 
     def rank(one: Question) -> tuple[bool, int, int]:
@@ -157,31 +190,13 @@ def likely_mistake(
         chosen = worst == MODEL and one.name == "delta"
         return chosen, one.rank, EFFECTS.index(failed[one.name])
 
-    questions = [one for one in evidence.questions if one.name in failed]
-    if not mi.is_polarized:
-        questions = [one for one in questions if failed[one.name] == worst]
-    for one in sorted(questions, key=rank):
-        guess = None
-        if not mi.is_polarized:
-            guess = told(case, TWO if one.identity else one.name)
+    for one in sorted((one for one in questions if one.name in failed), key=rank):
+        about = TWO if one.identity else one.name
+        guess = None if mi.is_polarized else told(case, about)
         guess = guess or evidence.guess(one.name) or evidence.suspect(one.name)
         if guess is not None:
             return guess
     return ANY
-
-
-def _symptoms(
-    failed: Mapping[str, str], shares: Mapping[str, float | None], worst: str
-) -> dict[str, str]:
-    """What fails but for smaller failures beside the largest one."""
-    own = {name: shares[name] for name in failed if failed[name] == worst}
-    largest = max((x for x in own.values() if x is not None), default=0.0)
-    minor = {n for n, x in own.items() if x is not None and x < MAX_MINOR * largest}
-    wrong_mean = "weights" in failed and "sampled_weight" not in failed
-    if wrong_mean or "sampled_pdf" in failed:
-        # only counts explain a wrong mean, and tell which of two densities is right
-        minor.discard("sampling")
-    return {name: effect for name, effect in failed.items() if name not in minor}
 
 
 def explain_reciprocity(evidence: Evidence) -> None:
@@ -196,7 +211,7 @@ def explain_reciprocity(evidence: Evidence) -> None:
     """
     case = Case(evidence)
     found = [b for b in evidence.of("reciprocity") if b.guess.functions is EVAL]
-    guess = told(case, "reciprocity") if found else None
+    guess = told(case, ASYMMETRY) if found else None
     if guess is None:
         return
     if guess.mistake is cosines.Cosine.OF_A_LOBE:

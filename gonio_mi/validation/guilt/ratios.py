@@ -182,17 +182,19 @@ class Ratios:
                 ratios.append(Ratio(ratio_of(over[ok], under[ok]), samples, ok))
         return cls(above, below, tuple(ratios))
 
-    def blame(self, function: Function) -> Guess:
-        """Mistake of that one of both functions."""
-        if function is not self.above.function:
+    def blame(self, functions: Function) -> Guess:
+        """Mistake of one of both functions; of both, where nothing tells which."""
+        if functions is self.below.function:
             each = tuple(replace(one, values=1 / one.values) for one in self.each)
-            return Ratios(self.below, self.above, each).blame(function)
+            return Ratios(self.below, self.above, each).blame(functions)
+        if functions is not self.above.function:
+            return self._blame_either()
         names = {"subject": self.above.subject, "words": self.above.words}
         if not self.each:
-            return Factor.CONTRADICTS(function, **names)
+            return Factor.CONTRADICTS(functions, **names)
         found = self.found
         if found is None:
-            return Factor.RATIO(function, ratio=self.in_numbers, **names)
+            return Factor.RATIO(functions, ratio=self.in_numbers, **names)
         mistakes, where = (Factor.TOO_MUCH, Factor.LACKS), self.where
         if found.name in self.above.divisors:
             # a factor too much, by which it was never divided
@@ -200,9 +202,9 @@ class Ratios:
         if found.constant != 1:
             where = f", and an additional factor of {found.constant:.4g}"
         mistake, factor = mistakes[found.power < 0], FACTORS[found.name]
-        return mistake(function, factor=factor, where=where, **names)
+        return mistake(functions, factor=factor, where=where, **names)
 
-    def blame_either(self) -> Guess:
+    def _blame_either(self) -> Guess:
         """How they differ, where nothing tells which of both functions is wrong."""
         both = self.above.function | self.below.function
         found, middle = self.found, float(np.median(self.wrong[0].values))

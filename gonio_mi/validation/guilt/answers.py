@@ -1,4 +1,4 @@
-"""Light that differs between the weight of ``sample`` and ``eval``, or is gained.
+"""Answers about samples that contradict each other, or gain light: which is wrong.
 
 Weight times pdf is one account of the BSDF, ``eval`` another. Where they differ, each
 may be wrong, unless one of them gains flux that the other does not, or is reciprocal
@@ -7,20 +7,21 @@ where the other is not, or depends on the lobe that was picked.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import mitsuba as mi
 import numpy as np
 
+from ...array_types import Floats
 from ..checks.answers import Answers, asked_again
 from ..checks.energy import Energy
 from ..conditions import Sweep
-from ..evidence import NOISE
-from ..mistakes import EVAL, SAMPLE, Guess
+from ..maps import FourMaps
+from ..mistakes import EVAL, PDF, SAMPLE, Guess
 from ..probe import Probe, is_delta, numbers, spectral, uniform
 from ..samples import Samples, agree
-from .case import Case
+from .case import Case, Diagnosis
 from .ratios import Factor, Ratio, is_one
 
 # Pairs of directions that are exchanged, samples of the way back, the cosine of the
@@ -35,6 +36,12 @@ MIN_NEARBY = 12
 MAX_LOG_SAME, MIN_LOG_OTHER = 0.03, 0.1
 MIN_SAME, MIN_OTHER = 0.9, 0.15
 
+# Flux of a discrete lobe beyond which it gains light.
+MAX_FLUX = 1 + 1e-4
+
+# Sum of squared scores that counts of directions may hide.
+MAX_UNSEEN = 100
+
 # Colours that may be exchanged, by the order of channels that takes it back.
 COLOURS = {
     "red and blue": [2, 1, 0],
@@ -43,28 +50,67 @@ COLOURS = {
 }
 
 
-def of_discrete_lobe(case: Case) -> Guess | None:
+def _fluxes(maps: Sequence[FourMaps]) -> Floats:
+    """By map, what ``eval``, discrete lobes and all weights scatter at most."""
+    each = [(m.smooth_flux, m.totals.delta_mean, m.totals.mean) for m in maps]
+    return np.array([[x.max() for x in one] for one in each]).reshape(-1, 3)
+
+
+def discrete_lobe(case: Case) -> Guess | None:
     """A discrete lobe of other weight than that of its component, which gains none."""
     own = [b.guess for b in case.evidence.of("components")]
     own = [guess for guess in own if guess.functions is SAMPLE]
-    most = max(case.discrete, default=0.0)
-    return own[0] if own and 0 < most <= 1 + 1e-4 else None
+    most = _fluxes(case.maps)[:, 1].max(initial=0)
+    return own[0] if own and 0 < most <= MAX_FLUX else None
 
 
-def gained(case: Case) -> Guess:
+def gained_light(case: Case) -> Guess:
     """``eval`` or the weights of discrete lobes gain or lose light."""
-    totals = [m.smooth_flux.max() + x for m, x in zip(case.maps, case.discrete)]
-    gains = max(case.discrete, default=0.0) > 1 + 1e-4
-    function, most = SAMPLE if gains else EVAL, max(totals, default=1.0)
+    smooth, discrete, _ = _fluxes(case.maps).T
+    function = SAMPLE if discrete.max(initial=0) > MAX_FLUX else EVAL
+    albedo = max(smooth + discrete, default=1.0)
     # a phase function absorbs nothing
-    albedo = min(totals) if most < 1 else most
+    albedo = min(smooth + discrete) if albedo < 1 else albedo
     return Energy.NOT_CONSERVED(function, found=f"albedo {albedo:.4g}")
 
 
-def rejected_by_chance(case: Case) -> Guess:
-    """Weights that make up for them."""
-    noisy = [b for b in case.evidence.of("sampled_weight") if b.effect == NOISE]
-    return noisy[0].guess
+def slightly_off(case: Case) -> Guess | None:
+    """One of both is wrong by less than counts of directions tell."""
+    each = []
+    for samples in (*case.evidence.whole, *case.evidence.sweeps):
+        own = samples.usable & (samples.pdf > 0)
+        ratio = samples.sampled_pdf[own] / samples.pdf[own]
+        each.append(np.mean((ratio - 1) ** 2) if own.any() else 0.0)
+    off = float(max(each, default=0.0)) ** 0.5
+    n = max((maps.totals.n for maps in case.evidence.maps), default=0)
+    return (
+        Diagnosis.SLIGHTLY(SAMPLE | PDF, off=off) if n * off**2 < MAX_UNSEEN else None
+    )
+
+
+def returned_pdf(case: Case) -> Guess | None:
+    """The same, where weights are not ``eval`` over it."""
+    for one in case.densities.each:
+        own = one.samples
+        if not agree(own.flux, own.eval, own.eval_slack, one.wrong):
+            return case.densities.blame(SAMPLE)
+    return None
+
+
+def wrong_mixture(case: Case) -> Guess | None:
+    """``pdf`` is that of one component, or their sum, and not their mixture."""
+    each, samples = case.apart, case.evidence.whole[0]
+    if each is None or each.pdf.any(axis=1).sum() < 2:
+        return None  # no component can be asked alone, or one is all
+
+    def is_whole(density: Floats) -> bool:
+        return agree(density, samples.pdf, samples.pdf_slack, samples.smooth)
+
+    own = [i for i, density in enumerate(each.pdf) if is_whole(density)]
+    if len(own) == 1:
+        return Diagnosis.ONE_COMPONENT(PDF, component=own[0])
+    whole = not own and is_whole(each.pdf.sum(axis=0))
+    return Diagnosis.PLAIN_SUM(PDF) if whole else None
 
 
 def changed_answers(case: Case) -> Guess | None:
@@ -72,18 +118,6 @@ def changed_answers(case: Case) -> Guess | None:
     first = case.evidence.whole[0]
     probe = Probe(case.evidence.bsdf, first.condition)
     return next(map(Answers.OF_CALLS, asked_again(first, probe, exact=True)), None)
-
-
-def of_a_component(case: Case) -> Guess:
-    """Weights of single components."""
-    evidence = case.evidence
-    found = evidence.of("components") or evidence.of("sampled_weight")
-    return max(found, key=lambda one: one.size).guess
-
-
-def other_sums(case: Case) -> Guess | None:
-    """Weights that no sample tells to be wrong."""
-    return None if case.light.each else Factor.OTHER_SUMS(SAMPLE)
 
 
 def exchanged_colours(case: Case) -> Guess | None:
@@ -100,7 +134,7 @@ def exchanged_colours(case: Case) -> Guess | None:
     return Factor.COLOURS(EVAL | SAMPLE, colours=right[0]) if right else None
 
 
-def of_lobe_alone(case: Case) -> Guess | None:
+def lobe_alone(case: Case) -> Guess | None:
     """Each weight is that of the picked component as if it were alone."""
     bsdf, samples = case.evidence.bsdf, case.evidence.samples[0]
     if bsdf.component_count() < 2 or samples.condition.component is not None:
@@ -121,9 +155,7 @@ def of_lobe_alone(case: Case) -> Guess | None:
 def whoever_gains(case: Case) -> Guess | None:
     """The one of both that gains light, where the other does not."""
     whole = [m for m in case.maps if m.condition.mode == "importance"]
-    flux = max((m.smooth_flux.max() for m in whole), default=0.0)
-    mean = max((m.totals.mean.max() for m in whole), default=0.0)
-    discrete = max((m.totals.delta_mean.max() for m in whole), default=0.0)
+    flux, discrete, mean = _fluxes(whole).max(axis=0, initial=0)
     if flux + discrete > 1.001 > mean:
         return case.light.blame(EVAL)
     return case.light.blame(SAMPLE) if mean > 1.001 > flux + discrete else None
@@ -157,11 +189,6 @@ def whoever_is_asymmetric(case: Case) -> Guess | None:
         if same > MIN_SAME and other > MIN_OTHER:
             return case.light.blame(guilty)
     return None
-
-
-def of_either(case: Case) -> Guess:
-    """Nothing tells which of both is wrong."""
-    return case.light.blame_either()
 
 
 def _pairs_of(bsdf: mi.BSDF, ratio: Ratio) -> Iterator[tuple[float, float, float]]:
