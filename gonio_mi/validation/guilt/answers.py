@@ -75,7 +75,7 @@ def gained_light(case: Case) -> Guess:
 
 
 def slightly_off(case: Case) -> Guess | None:
-    """One of both is wrong by less than counts of directions tell."""
+    """One of both pdfs is wrong, by less than counts of directions tell."""
     each = []
     for samples in (*case.evidence.whole, *case.evidence.sweeps):
         own = samples.usable & (samples.pdf > 0)
@@ -83,13 +83,12 @@ def slightly_off(case: Case) -> Guess | None:
         each.append(np.mean((ratio - 1) ** 2) if own.any() else 0.0)
     off = float(max(each, default=0.0)) ** 0.5
     n = max((maps.totals.n for maps in case.evidence.maps), default=0)
-    return (
-        Diagnosis.SLIGHTLY(SAMPLE | PDF, off=off) if n * off**2 < MAX_UNSEEN else None
-    )
+    hidden = n * off**2 < MAX_UNSEEN
+    return Diagnosis.SLIGHTLY(SAMPLE | PDF, off=off) if hidden else None
 
 
 def returned_pdf(case: Case) -> Guess | None:
-    """The same, where weights are not ``eval`` over it."""
+    """The pdf that `sample` returns, where its weights are ``eval`` over ``pdf``."""
     for one in case.densities.each:
         own = one.samples
         if not agree(own.flux, own.eval, own.eval_slack, one.wrong):

@@ -105,11 +105,6 @@ def _stays(evidence: Evidence) -> bool:
     return not beyond_rounding(np.abs(one - other).max(axis=1) > SAME_DIRECTION)
 
 
-def suspect(case: Case) -> Guess | None:
-    """What a test tells that has met what no map has."""
-    return case.evidence.suspect("sampling")
-
-
 def side_left_out(case: Case) -> Guess | None:
     """Directions never go to a side.
 
