@@ -55,35 +55,33 @@ MAX_EXPONENT_RANGE, MIN_LOG_RATIO = 0.01, 0.1
 
 def of_the_whole(case: Case) -> Guess | None:
     """All of ``eval``."""
-    power = _power(_asymmetric(case))
-    return None if power is None else COSINES[power](EVAL, part="")
+    return _wrong_cosine(_asymmetric(case), "")
 
 
 def of_a_component(case: Case) -> Guess | None:
-    """One component on its own."""
-    bsdf = case.evidence.bsdf
+    """One component on its own, which declares no other law."""
+    bsdf, samples = case.evidence.bsdf, case.evidence.samples
     for i in range(bsdf.component_count()):
-        own = [one for one in case.evidence.samples if one.condition.component == i]
+        own = [one for one in samples if one.condition.component == i]
         declared = int(bsdf.flags(i)) & int(mi.BSDFFlags.NonSymmetric)
-        power = None if declared else _power(own)
-        if power is not None:
-            return COSINES[power](EVAL, part=f", in its component {i}")
+        guess = _wrong_cosine(own, f", in its component {i}")
+        if guess and not declared:
+            return guess
     return None
 
 
 def of_a_parameter(case: Case) -> Guess | None:
     """The part of ``eval`` that a parameter changes."""
-    bsdf = case.evidence.bsdf
+    bsdf, whole = case.evidence.bsdf, _asymmetric(case)
     try:
         for name, value in number_parameters(bsdf)[1].items():
             if not np.any(np.array(value)):
                 continue
             with changed(bsdf, {name: type(value)(0.5 * value)}):
-                parts = [_part(bsdf, samples) for samples in _asymmetric(case)]
-            power = _power(parts)
-            if power is not None:
-                part = f", in the part of it that the parameter {name} changes"
-                return COSINES[power](EVAL, part=part)
+                parts = [_part(bsdf, samples) for samples in whole]
+            text = f", in the part of it that the parameter {name} changes"
+            if guess := _wrong_cosine(parts, text):
+                return guess
     except PluginFault:
         pass  # a property of its own
     return None
@@ -170,14 +168,14 @@ def _stays_lit(bsdf: mi.BSDF, condition: Condition, power: int) -> bool:
     return bool(((first > 0) & (left > MIN_LEFT * first)).any())
 
 
-def _power(ways: Sequence[Samples]) -> int | None:
-    """Power of the cosine that explains all samples, if the right one does not."""
+def _wrong_cosine(ways: Sequence[Samples], part: str) -> Guess | None:
+    """Mistake of a power that explains all samples, if the right one does not."""
     contradicted = [_unexplained(samples).mean() for samples in ways]
     if max(contradicted, default=0.0) < MIN_CONTRADICTED:
         return None
     for power in COSINES:
         if not any(beyond_rounding(_unexplained(samples, power)) for samples in ways):
-            return power
+            return COSINES[power](EVAL, part=part)
     return None
 
 

@@ -123,7 +123,7 @@ def factor(name: str, samples: Samples, mask: Flags) -> Floats:
     return np.maximum(np.abs(values[name] * np.ones(len(wo))), 1e-9)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Ratio:
     """A ratio that should be 1, of the samples that `mask` selects."""
 
@@ -294,7 +294,7 @@ class Ratios:
         if len(wrong) == n:
             return ""
         more = f", and at {len(wrong) - 1} more of {n}" if len(wrong) > 1 else ""
-        right = [one for one in self.each if not any(one is other for other in wrong)]
+        right = [one for one in self.each if one not in wrong]
         wrong_uvs = {uv for one in wrong for uv in one.uvs(one.wrong)}
         right_uvs = {uv for one in right for uv in one.uvs(slice(None))}
         worst = self._worst
