@@ -8,7 +8,6 @@ from os import PathLike
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import special
 
 from ...array_types import Floats
 from ...plots.figure import direction_text, finished, new_figure
@@ -19,6 +18,7 @@ from ...reports.page import (
     preformatted,
     save_page,
 )
+from ...results.statistics import student_quantile
 from .curves import HEAD, Chart, Curve
 
 if TYPE_CHECKING:
@@ -133,7 +133,7 @@ def _colours(chart: Chart) -> dict[str, str]:
 def _draw_curve(axes: Axes, chart: Chart, curve: Curve, x: Floats, colour: str) -> None:
     """Points of one method with their error bars, of few seeds and so Student's t."""
     marker, line, face = STYLES.get(curve.estimator, QUADRATURE_STYLE)
-    times = special.stdtrit(chart.settings.get("repeats", 2) - 1, (1 + LEVEL) / 2)
+    times = student_quantile(chart.settings.get("repeats", 2) - 1, LEVEL)
     bars = times * np.nan_to_num([point.error_std_err for point in curve.points])
     bars = np.minimum(bars, 0.9 * curve.error)
     style = {"marker": marker, "ms": 4 if marker == "o" else 8, "mfc": face, "ls": line}

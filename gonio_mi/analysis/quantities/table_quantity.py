@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy import special
 
 from ...array_types import Flags, Floats, Integers
 from ...collector import Receptors
@@ -14,6 +13,7 @@ from ...collector.directions import direction
 from ...collector.receptors import Window
 from ...errors import SettingError
 from ...files.measured_table import MeasuredTable
+from ...results.statistics import student_quantile
 from ..points import Points
 from ..points.interpolation import Interpolation
 from ..points.points import exit_directions
@@ -145,7 +145,7 @@ def table_estimate(own: Definition, table: MeasuredTable, phi_i: float) -> Estim
     }
     _check_resolved(own, table, found, parts)
     std_err = float(np.hypot(parts["values"], parts["calibration"]))
-    t = special.stdtrit(min(points.dof_of(each), 1e9), (1 + LEVEL) / 2)
+    t = student_quantile(min(points.dof_of(each), 1e9), LEVEL)
     half = t * std_err + sum(part for name, part in parts.items() if name in BOUNDS)
     # no flux is negative
     low = found - half if own.curve or found < 0 else max(found - half, 0.0)

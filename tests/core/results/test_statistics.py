@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from budget import Verdict, agree, disagree, single
-from scipy import stats
+from scipy import special, stats
 
 from gonio_mi.results import statistics
 
@@ -98,6 +98,16 @@ def test_student_interval(n_batches, level):
     interval = statistics.student_interval(value, std_err, n_batches, level)
     exact = stats.t.interval(level, n_batches - 1, value, std_err)
     np.testing.assert_allclose(interval, exact, rtol=FUNCTIONS)
+
+
+@pytest.mark.parametrize("level", [0.5, 0.95, 0.999, 1 - 2.0**-20, 1 - 2.0**-50])
+def test_student_quantile(level):
+    """Against SciPy's, of dof from 1 on, also between whole numbers, in any shape."""
+    dof = np.reshape([1, 1.3, 2, 3, 4.7, 15, 63, 1e3, 1e5, 1e6, 1e8, 1e9], (3, 4))
+    quantile = statistics.student_quantile(dof, level)
+    exact = -special.stdtrit(dof, (1 - level) / 2)
+    np.testing.assert_allclose(quantile, exact, rtol=FUNCTIONS)
+    assert statistics.student_quantile(15, level) == quantile[1, 1]
 
 
 def test_student_interval_has_a_resolution():
