@@ -11,7 +11,6 @@ import platform
 import re
 import sys
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 
 from .errors import LLVMError
@@ -63,6 +62,8 @@ def prepare() -> None:
 
 def _libraries() -> list[tuple[int, str]]:
     """Versions and paths of this environment's libraries."""
+    from importlib import metadata  # slow to import
+
     folders = {sys.prefix, sys.base_prefix}
     paths = [
         x for one in folders for x in glob.glob(f"{glob.escape(one)}/lib/libLLVM*")

@@ -3,6 +3,8 @@
 Python scripts that import the package are left as they are.
 """
 
+import atexit
+import gc
 import os
 import signal
 import sys
@@ -18,6 +20,8 @@ INTERRUPTED = 130  # as shells count: 128 and the number of SIGINT
 def begin() -> None:
     """Let Ctrl-C end the process while it imports; NumPy gets no threads.
 
+    Nothing that is imported is garbage, nor is it searched for when the process ends.
+
     Raises
     ------
     FileNotFoundError, SystemExit
@@ -30,6 +34,8 @@ def begin() -> None:
         return
     # its matrices are small here, and threads that wait for them take CPU time
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    gc.disable()
+    atexit.register(gc.freeze)
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _leave)
 
@@ -51,7 +57,8 @@ def command_of(arguments: Sequence[str]) -> str:
 
 
 def end() -> None:
-    """Let Ctrl-C raise KeyboardInterrupt again."""
+    """Let Ctrl-C raise KeyboardInterrupt again, and what follows be cleared away."""
+    gc.enable()
     if signal.getsignal(signal.SIGINT) is _leave:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 

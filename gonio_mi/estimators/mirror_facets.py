@@ -19,6 +19,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..array_types import Floats, Integers
+from ..kernels import syntax
 from ..mitsuba_compat import FRAME, PARTIALS, has_normals, mesh_of, triangles_of
 from ..specimen.rays import NEARBY, with_normal
 from ..specimen.scene_objects import traversed
@@ -156,7 +157,7 @@ class MirrorFacets:
         self._middle, self._before = mi.Vector3d(middle), mi.Float64(unit * NEARBY)
         dr.make_opaque(self._origin, self._half, self._middle, self._before)
 
-    @dr.syntax
+    @syntax
     def along(
         self, ray: mi.Ray3f, active: mi.Bool, take: Callable[[mi.UInt32, mi.Bool], None]
     ) -> None:

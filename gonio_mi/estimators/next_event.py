@@ -12,6 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import SpecimenError
+from ..kernels import syntax
 from ..single_precision import FEW_ROUNDINGS
 from ..specimen.rays import Flight, departure, escapes
 from ..transport.exits import Exits
@@ -144,7 +145,7 @@ class Deposits:
         axes = subdivision.axes
         self.axes = None if axes is None else mi.Vector3f(axes.T.tolist())
 
-    @dr.syntax
+    @syntax
     def add(
         self,
         si: mi.SurfaceInteraction3f,

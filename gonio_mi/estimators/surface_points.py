@@ -19,6 +19,7 @@ import numpy as np
 
 from ..array_types import Floats
 from ..errors import LABEL, SpecimenError, abridged
+from ..kernels import syntax
 from ..mitsuba_compat import PARTIALS
 from ..results.estimates import MIN_EVEN_HITS, Estimates
 from ..results.statistics import student_interval, student_score
@@ -385,7 +386,7 @@ def _shading_ratio(si: Any, w: mi.Vector3f) -> mi.Float:
     return dr.select(dr.all(si.sh_frame.n == si.n), mi.Float(1.0), ratio)
 
 
-@dr.syntax
+@syntax
 def _added_up(
     si: Any,
     came: mi.Float,

@@ -692,7 +692,8 @@ def _where(
 ) -> tuple[Floats, Floats]:
     """Limits in some places, NaN elsewhere: quantiles take long."""
     found = np.full((2, *some.shape), np.nan)
-    found[:, some] = limits(*(np.broadcast_to(x, some.shape)[some] for x in arrays))
+    if some.any():
+        found[:, some] = limits(*(np.broadcast_to(x, some.shape)[some] for x in arrays))
     return found[0], found[1]
 
 

@@ -19,6 +19,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from ..kernels import syntax
 from ..mitsuba_compat import FRAME, MINIMAL
 
 # How far a ray starts off its surface, in units of the local coordinates: 64 ulp. Off a
@@ -77,7 +78,7 @@ def nearest(
     return _of_copies(specimen, ray, flags, active, coherent)
 
 
-@dr.syntax
+@syntax
 def _of_copies(
     specimen: Any, ray: mi.Ray3f, flags: int, active: mi.Bool, coherent: Any
 ) -> mi.SurfaceInteraction3f:
@@ -356,7 +357,7 @@ def proceed(
     flight.cells[met.crosses] = flight.cells + 1
 
 
-@dr.syntax
+@syntax
 def escapes(
     specimen: Any,
     side: int,
@@ -389,7 +390,7 @@ def escapes(
     return free
 
 
-@dr.syntax
+@syntax
 def first_met(
     specimen: Any, side: int, ray: mi.Ray3f, active: mi.Bool
 ) -> tuple[mi.Bool, mi.UInt32, mi.Point3f]:

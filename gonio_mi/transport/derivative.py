@@ -17,6 +17,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from ..kernels import syntax
 from .surface_events import flux_context, is_delta
 
 # Derivatives of a value follow the graph of its function, which stays.
@@ -146,7 +147,7 @@ class Adjoint(Derivative):
         return mi.Spectrum(0)
 
 
-@dr.syntax
+@syntax
 def sent_back(adjoint: Adjoint, event: tuple[Any, ...], lanes: int) -> mi.UInt32:
     """Send back what an event of each lane has of the loss; to be evaluated.
 

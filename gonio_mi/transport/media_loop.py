@@ -18,6 +18,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from ..kernels import syntax
 from ..mitsuba_compat import PARTIALS
 from ..results.tally import Fate
 from ..specimen.media import differ_by_channel
@@ -235,7 +236,7 @@ class Geometry:
         flight.cells[active] = mi.UInt32(0)
 
 
-@dr.syntax
+@syntax
 def trace_inside(
     specimen: Specimen,
     path: Geometry | Layers,

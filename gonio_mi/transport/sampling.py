@@ -12,6 +12,7 @@ import numpy as np
 
 from ..array_types import Numbers
 from ..errors import SpecimenError
+from ..kernels import syntax
 
 # Plugin names of the class names, which is all that a sampler knows.
 NAMES = {
@@ -111,7 +112,7 @@ def turns_of(sampler: mi.Sampler, n: int) -> int:
     return max(1, min(MAX_TURNS, n // MIN_LANES)) if continues(sampler) else 1
 
 
-@dr.syntax
+@syntax
 def in_turns(
     add: Callable[[mi.Sampler, mi.UInt32], None],
     sampler: mi.Sampler,

@@ -8,6 +8,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from ..kernels import syntax
 from ..mitsuba_compat import PARTIALS
 from ..results.tally import Fate
 from ..specimen.plane import Plane, repeated
@@ -82,7 +83,7 @@ def scatter_plane(
     return exits
 
 
-@dr.syntax
+@syntax
 def trace(
     specimen: Specimen,
     beam: Beam,
