@@ -51,7 +51,7 @@ def bar(
 
 def note(text: str) -> None:
     """Write a line on standard error, beside bars."""
-    tqdm.write(text, file=sys.stderr)
+    _Bar.write(text, file=sys.stderr)
 
 
 def counted(items: Collection[T], shown: bool, **how: Any) -> Iterator[T]:
@@ -117,6 +117,10 @@ class _Bar(tqdm):
     def format_dict(self) -> dict[str, Any]:
         """What is shown, in whole numbers of what is counted."""
         return super().format_dict | {"n": round(self.n)}
+
+
+# of this process only: locks between processes are slow to import
+_Bar.set_lock(threading.RLock())
 
 
 class _Lines(_Bar):

@@ -58,6 +58,7 @@ def command_of(arguments: Sequence[str]) -> str:
 
 def end() -> None:
     """Let Ctrl-C raise KeyboardInterrupt again, and what follows be cleared away."""
+    gc.freeze()
     gc.enable()
     if signal.getsignal(signal.SIGINT) is _leave:
         signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -13,7 +13,6 @@ import numpy as np
 
 from ..array_types import Floats
 from ..errors import SpecimenError
-from ..quadrature.integrate import integrate_each
 from ..results.tally import (
     WEIGHT_SCALE,
     DifferentiatedIntegrals,
@@ -114,6 +113,8 @@ def _pass_integrals(
     Arrays of shape ``(n_hemispheres, n_theta, n_phi, channels)``; derivatives with
     their errors have an axis more before the last.
     """
+    from ..quadrature.integrate import integrate_each  # slow to import
+
     setup = setups[0]
     si = mi.SurfaceInteraction3f(setup.specimen.plane.interaction)
     si.wavelengths = wavelength_lanes(nm)

@@ -1,16 +1,16 @@
 """Saving and loading of records, by the ending of the file's name."""
 
+import importlib
 import os
 from os import PathLike
 
 from ..errors import FileFormatError, check_regular, no_file
 from ..results.record import Record
-from . import exr, npz
 from .checks import check_record
 from .writing import checked_ending, replacing
 
-FORMATS = {".exr": exr, ".npz": npz}
-ENDINGS = tuple(FORMATS)
+# The names of the modules, too, which are imported when they are used.
+ENDINGS = (".exr", ".npz")
 
 
 def save(record: Record, path: str | PathLike[str]) -> None:
@@ -31,7 +31,7 @@ def save(record: Record, path: str | PathLike[str]) -> None:
     OSError
         If the file cannot be written.
     """
-    file_format = FORMATS[checked_ending(path, ENDINGS)]
+    file_format = importlib.import_module(checked_ending(path, ENDINGS), __package__)
     with replacing(path) as stream:
         file_format.write(record, stream)
 
@@ -77,7 +77,8 @@ def _loaded(path: str | PathLike[str], added_up: bool) -> Record:
     check_regular(path)
     with open(path, "rb") as stream:
         try:
-            record = FORMATS[ending].read(stream, added_up)
+            file_format = importlib.import_module(ending, __package__)
+            record = file_format.read(stream, added_up)
             check_record(record)
         except FileFormatError as error:
             raise FileFormatError(f"cannot load {path}: {error}") from None

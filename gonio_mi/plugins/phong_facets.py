@@ -8,7 +8,6 @@ c = sqrt((e_u + 1)(e_v + 1)) / (2 pi).
 from functools import lru_cache
 
 import numpy as np
-import scipy  # its parts are imported when used
 
 from ..array_types import Floats
 
@@ -40,6 +39,8 @@ def averted_area(k: Floats, e_u: float, e_v: float, n_nodes: int = 32) -> Floats
     -------
     ndarray, shape (...)
     """
+    from scipy import special  # slow to import
+
     x, y, z = np.moveaxis(np.asarray(k, dtype=float)[..., None], -2, 0)
     node, weight = np.polynomial.legendre.leggauss(n_nodes)
     weight = weight * 1.5 * (1 - node**2) / 4
@@ -56,12 +57,7 @@ def averted_area(k: Floats, e_u: float, e_v: float, n_nodes: int = 32) -> Floats
         edge = np.nan_to_num(z**2 / (away**2 + z**2), nan=1.0)
     half = (exponent + 3) / 2
     area = z * (1 - edge) ** (exponent / 2 + 1) / (exponent + 2)
-    area += (
-        away
-        * scipy.special.beta(half, 0.5)
-        * (1 - scipy.special.betainc(0.5, half, edge))
-        / 2
-    )
+    area += away * special.beta(half, 0.5) * (1 - special.betainc(0.5, half, edge)) / 2
     return area @ weight
 
 

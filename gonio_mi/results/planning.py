@@ -11,7 +11,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # its parts are imported when used
 from numpy.typing import ArrayLike
 
 from ..array_types import Flags, Floats
@@ -310,9 +309,11 @@ def reliability(probabilities: ArrayLike, rel_err: float, rays: float) -> float:
 
     Union bound over normal tails of independent rays; at least 0.
     """
+    from scipy import special  # slow to import
+
     p = np.asarray(probabilities, dtype=float).ravel()
     scores = rel_err * np.sqrt(rays * p / np.maximum(1 - p, np.finfo(float).tiny))
-    return max(0.0, 1 - 2 * float(scipy.special.ndtr(-scores).sum()))
+    return max(0.0, 1 - 2 * float(special.ndtr(-scores).sum()))
 
 
 def relative_rays(probabilities: ArrayLike, rel_err: float, level: float = 0.95) -> int:
@@ -337,17 +338,17 @@ def relative_rays(probabilities: ArrayLike, rel_err: float, level: float = 0.95)
     ValueError
         If a probability is not in (0, 1], or there is none.
     """
+    from scipy import optimize, special  # slow to import
+
     p = _checked_probabilities(probabilities)
     rel_err = checked_number("rel_err", rel_err, 1e-9, 1, "a number in (0, 1)")
     level = checked_number("level", level, 1e-9, 1, "a number in (0, 1)")
     # the rarest patch alone, and every patch as rare as it, bracket the answer
     odds = (1 - p.min()) / p.min() + 1e-12
-    low = odds * (scipy.special.ndtri((1 - level) / 2) / rel_err) ** 2
-    high = odds * (scipy.special.ndtri((1 - level) / (2 * p.size)) / rel_err) ** 2
+    low = odds * (special.ndtri((1 - level) / 2) / rel_err) ** 2
+    high = odds * (special.ndtri((1 - level) / (2 * p.size)) / rel_err) ** 2
     if p.size == 1:
         return math.ceil(low)
-    from scipy import optimize  # slow to import, and used here only
-
     root = optimize.brentq(
         lambda log_n: reliability(p, rel_err, math.exp(log_n)) - level,
         math.log(low * 0.99),

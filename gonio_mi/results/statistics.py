@@ -6,7 +6,6 @@ Normal scores: the number of standard deviations that is as improbable as a find
 from collections.abc import Iterator
 
 import numpy as np
-import scipy  # its parts are imported when used
 from numpy.typing import ArrayLike
 
 from ..array_types import Floats, Integers, Numbers
@@ -173,12 +172,14 @@ def binomial_interval(
     low, high : ndarray
         Cover the truth with probability at least `level`.
     """
+    from scipy import special  # slow to import
+
     hits, rays = np.asarray(hits, dtype=float), np.asarray(rays, dtype=float)
     tail = (1 - level) / 2
     misses = rays - hits
     # quantiles of the beta distribution; scipy.stats would double the time of import
-    low = scipy.special.betaincinv(hits, misses + 1, tail)
-    high = scipy.special.betaincinv(hits + 1, misses, 1 - tail)
+    low = special.betaincinv(hits, misses + 1, tail)
+    high = special.betaincinv(hits + 1, misses, 1 - tail)
     return np.where(hits == 0, 0.0, low), np.where(misses == 0, 1.0, high)
 
 
@@ -205,13 +206,15 @@ def gamma_interval(
         Weight of the hits that scatter: as many as explain `std_err` are counts, and
         the rest of `value` is certain.
     """
+    from scipy import special  # slow to import
+
     tail, variance = (1 - level) / 2, np.square(std_err)
     with np.errstate(divide="ignore", invalid="ignore"):
         counted = np.where(heavy * value > variance, variance / heavy, value)
         low = variance / counted
-        low = low * scipy.special.gammaincinv(counted**2 / variance, tail)
+        low = low * special.gammaincinv(counted**2 / variance, tail)
         more, with_more = variance + largest**2, counted + largest
-        high = scipy.special.gammaincinv(with_more**2 / more, 1 - tail)
+        high = special.gammaincinv(with_more**2 / more, 1 - tail)
         high = high * more / with_more
     low = np.where(std_err == 0, counted, low)
     return low + (value - counted), high + (value - counted)
@@ -279,9 +282,11 @@ def student_score(t: ArrayLike, dof: ArrayLike) -> Floats:
     Beyond probabilities of 1e-300 it is approximate (Wallace 1959, Annals of
     Mathematical Statistics 30, 1124), so that scores keep their order.
     """
+    from scipy import special  # slow to import
+
     dof, size = np.minimum(dof, 1e9), np.abs(t)
-    tail = scipy.special.stdtr(dof, -size)
-    score = -scipy.special.ndtri(np.maximum(tail, MIN_PROBABILITY))
+    tail = special.stdtr(dof, -size)
+    score = -special.ndtri(np.maximum(tail, MIN_PROBABILITY))
     root = np.sqrt(dof * np.log1p(np.square(size) / dof))
     beyond = np.maximum(score, root * (8 * dof + 1) / (8 * dof + 3))
     return 0.0 + np.sign(t) * np.where(tail < MIN_PROBABILITY, beyond, score)
@@ -289,6 +294,8 @@ def student_score(t: ArrayLike, dof: ArrayLike) -> Floats:
 
 def two_sided_score(below: ArrayLike, above: ArrayLike) -> Floats:
     """Normal score from the probabilities of at most and at least what was seen."""
+    from scipy import special  # slow to import
+
     p = np.minimum(2 * np.minimum(below, above), 1.0)
-    size = -scipy.special.ndtri(np.maximum(p / 2, MIN_PROBABILITY))
+    size = -special.ndtri(np.maximum(p / 2, MIN_PROBABILITY))
     return np.where(np.less(below, above), -size, size)
