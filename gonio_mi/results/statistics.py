@@ -4,6 +4,8 @@ Normal scores: the number of standard deviations that is as improbable as a find
 """
 
 from collections.abc import Iterator
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -232,13 +234,15 @@ def student_interval(
 
     It reaches at least `below` and `above` to its sides; NaN where `std_err` is.
     """
-    half = student_quantile(np.maximum(n_batches - 1, 1), level) * std_err
+    dof = np.maximum(n_batches - 1, 1)
+    half = np.vectorize(student_quantile, [float])(dof, level) * std_err
     low, high = (np.maximum(half, np.nan_to_num(least)) for least in (below, above))
     return value - low, value + high
 
 
-def student_quantile(dof: ArrayLike, level: float) -> Floats:
-    """Size that Student's t exceeds with chance ``1 - level``, shaped like `dof`.
+@lru_cache(maxsize=256)
+def student_quantile(dof: float, level: float) -> float:
+    """Size that Student's t exceeds with chance ``1 - level``.
 
     A first measurement needs nothing else of SciPy's functions, to import which takes
     longer than to measure. The variable u of ``t = sqrt(dof) sinh(u)`` has a density
@@ -248,27 +252,27 @@ def student_quantile(dof: ArrayLike, level: float) -> Floats:
 
     Parameters
     ----------
-    dof : array_like
+    dof : float
         Degrees of freedom, at least 1.
+    level : float
+        In (0, 1).
     """
-    dof = np.asarray(dof, dtype=float)[..., None]
     x = np.linspace(-3.5, 3.75, 59)
     steps = np.exp(x - np.exp(-x)) / np.sqrt(dof)
     weights = steps * (1 + np.exp(-x)) * (x[1] - x[0])
 
-    def log_density(u: Floats) -> Floats:
+    def log_density(u: Floats | float) -> Any:
         return -dof / 2 * np.log1p(np.sinh(u) ** 2)
 
-    def tail_over_density(u: Floats) -> Floats:
-        relative = np.exp(log_density(u + steps) - log_density(u))
-        return np.sum(weights * relative, axis=-1, keepdims=True)
+    def tail_over_density(u: float) -> Any:
+        return weights @ np.exp(log_density(u + steps) - log_density(u))
 
-    u = np.zeros_like(dof)
+    u = 0.0
     log_tail = np.log1p(-level) + np.log(tail_over_density(u))
     for _ in range(NEWTON_STEPS):
         over = tail_over_density(u)
-        u = u + over * (log_density(u) + np.log(over) - log_tail)
-    return np.asarray((np.sqrt(dof) * np.sinh(u))[..., 0])
+        u += over * (log_density(u) + np.log(over) - log_tail)
+    return float(np.sqrt(dof) * np.sinh(u))
 
 
 def upper_limit(rays: ArrayLike, level: float) -> Floats:

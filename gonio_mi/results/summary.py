@@ -102,13 +102,8 @@ class DirectionSummary:
 
     def exceeds_error(self, row: str) -> bool:
         """Whether a row of the ledger is above the totals' statistical error."""
-        # half the interval, where it is known
-        errors = [
-            (one.high - one.low) / 2
-            for one in self.dhr + (self.dht or [])
-            if one.high is not None and one.low is not None
-        ]
-        return self.ledger[row] > max([MAX_STRAY, *errors]) * self.ledger["emitted"]
+        error = _largest_error(self.dhr + (self.dht or []))
+        return self.ledger[row] > error * self.ledger["emitted"]
 
 
 @dataclass(frozen=True)
@@ -251,6 +246,12 @@ def _totals(look: Record, quantity: str) -> list[Total]:
     ]
 
 
+def _largest_error(totals: Sequence[Total]) -> float:
+    """Half the longest interval of those that are known; `MAX_STRAY` at least."""
+    known = [one for one in totals if one.high is not None and one.low is not None]
+    return max([MAX_STRAY, *((one.high - one.low) / 2 for one in known)])
+
+
 def _worst_patches(look: Record) -> list[PatchSummary]:
     """Patches worth reporting with the largest relative standard error."""
     quantities = ("brdf", "btdf") if look.has_lower else ("brdf",)
@@ -346,13 +347,17 @@ def lost_light(record: Record) -> list[str]:
     if not ledger.truncated and stray <= MAX_STRAY * ledger.emitted:
         return []  # without looking for the statistical error
 
-    # none before it is asked for: intervals take longer than a few rays
-    direction = cache(lambda number: _direction(record[number]))
+    @cache
+    def error(number: int) -> float:
+        """Statistical error of a direction, which takes longer than a few rays."""
+        look = record[number]
+        lower = _totals(look, "dht") if look.has_lower else []
+        return _largest_error(_totals(look, "dhr") + lower)
 
     def exceeds(row: str) -> bool:
         """Whether a row is above the statistical error in any direction."""
         return any(
-            direction(number).exceeds_error(row)
+            getattr(own, row) > error(number) * own.emitted
             for number, own in enumerate(look.ledger for look in record)
             if getattr(own, row) > MAX_STRAY * own.emitted
         )

@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import FrozenInstanceError
 from functools import cached_property
+from itertools import islice
 from typing import Any
 
 import drjit as dr
@@ -149,7 +150,7 @@ class Specimen:
         _ = self.box  # not while a kernel is being recorded
         if self.plane is None:
             self._warn_of_distance()
-        if any(map(holds_foreign_plugins, self._shapes)):
+        if self._holds_foreign:
             _ = self.digest  # before plugins are called, which may count their calls
         _ = self.description
 
@@ -165,6 +166,11 @@ class Specimen:
     def _shapes(self) -> list[mi.Shape]:
         """Shapes of the scene that emit nothing."""
         return [shape for shape in self.source.shapes() if not shape.is_emitter()]
+
+    @cached_property
+    def _holds_foreign(self) -> bool:
+        """Whether the shapes hold plugins in Python of others."""
+        return any(map(holds_foreign_plugins, self._shapes))
 
     @cached_property
     def groups(self) -> list[mi.Shape]:
@@ -259,8 +265,7 @@ class Specimen:
         ray = mi.Ray3f(above, mi.Vector3f(0, 0, -1))
         si = intersect(self.scene, ray, SURFACE, True)
         dr.make_opaque(si)
-        bsdf = shape.bsdf()
-        return Plane(bsdf, si, by_ray=holds_foreign_plugins(bsdf))
+        return Plane(shape.bsdf(), si, by_ray=self._holds_foreign)
 
     @cached_property
     def transmits(self) -> bool:
@@ -504,8 +509,9 @@ class Specimen:
         dr.eval(behind, covered)  # by one kernel
         if not (dr.any(behind) and dr.all(covered)):
             return "closed"
-        around = sum(self._is_closed_along(axis, aim) for axis in np.eye(3)) > 1
-        return "closed" if around else "open"
+        # two are enough
+        along = (1 for axis in np.eye(3) if not self._is_closed_along(axis, aim))
+        return "open" if sum(islice(along, 2)) == 2 else "closed"
 
     def _is_closed_along(self, axis: Floats, aim: mi.Point3f) -> bool:
         """Whether rays in both directions along an axis all meet one side."""

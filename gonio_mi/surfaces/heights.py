@@ -27,6 +27,9 @@ MAX_LENGTH = 1e18
 # of the mesh: vertices and triangles in NumPy, Mitsuba and Embree. Measured: 61, 245.
 SYNTHESIS_BYTES, MESH_BYTES = 64, 260
 
+# Rows that are transformed at once.
+ROWS_AT_ONCE = 256
+
 
 @dataclass(frozen=True)
 class HeightStatistics:
@@ -202,8 +205,9 @@ def _correlation_length(heights: Floats, periodic: bool) -> float:
     # zeros keep the ends of a field that is not periodic apart
     size = n if periodic else 2 * n
     power = np.zeros(size // 2 + 1)
-    for row in heights:
-        power += np.abs(np.fft.rfft(row, size)) ** 2
+    for first in range(0, len(heights), ROWS_AT_ONCE):
+        rows = heights[first : first + ROWS_AT_ONCE]
+        power += np.sum(np.abs(np.fft.rfft(rows, size)) ** 2, axis=0)
     correlation = np.fft.irfft(power, size)[: n // 2 + 1]
     if not periodic:
         correlation *= n / (n - np.arange(n // 2 + 1))

@@ -102,12 +102,18 @@ def test_student_interval(n_batches, level):
 
 @pytest.mark.parametrize("level", [0.5, 0.95, 0.999, 1 - 2.0**-20, 1 - 2.0**-50])
 def test_student_quantile(level):
-    """Against SciPy's, of dof from 1 on, also between whole numbers, in any shape."""
-    dof = np.reshape([1, 1.3, 2, 3, 4.7, 15, 63, 1e3, 1e5, 1e6, 1e8, 1e9], (3, 4))
-    quantile = statistics.student_quantile(dof, level)
+    """Against SciPy's, of dof from 1 on, also between whole numbers."""
+    dof = np.array([1, 1.3, 2, 3, 4.7, 15, 63, 1e3, 1e5, 1e6, 1e8, 1e9])
+    quantiles = [statistics.student_quantile(one, level) for one in dof]
     exact = -special.stdtrit(dof, (1 - level) / 2)
-    np.testing.assert_allclose(quantile, exact, rtol=FUNCTIONS)
-    assert statistics.student_quantile(15, level) == quantile[1, 1]
+    np.testing.assert_allclose(quantiles, exact, rtol=FUNCTIONS)
+
+
+def test_student_interval_of_batches_of_unlike_numbers():
+    n_batches, std_err = np.array([[2.0], [4.5]]), np.array([0.1, 0.3])
+    interval = statistics.student_interval(1.0, std_err, n_batches, 0.9)
+    exact = stats.t.interval(0.9, n_batches - 1, 1.0, std_err)
+    np.testing.assert_allclose(interval, exact, rtol=FUNCTIONS)
 
 
 def test_student_interval_has_a_resolution():
