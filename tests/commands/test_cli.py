@@ -19,6 +19,7 @@ import pytest
 
 import gonio_mi as gonio
 from gonio_mi import cli, files, start_up
+from gonio_mi.files import npz
 from gonio_mi.results.summary import summarize
 from gonio_mi.settings import MeasurementSettings, declarations
 
@@ -636,14 +637,14 @@ def test_ctrl_c_while_saving_does_not_lose_the_file(
     run, tmp_path, plugins, monkeypatch
 ):
     path = tmp_path / "run.npz"
-    write = files.FORMATS[".npz"].write
+    write = npz.write
 
     def write_interrupted(record, stream):
         signal.raise_signal(signal.SIGINT)
         write(record, stream)
         signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr(files.FORMATS[".npz"], "write", write_interrupted)
+    monkeypatch.setattr(npz, "write", write_interrupted)
     assert run(*QUICK, "-q", "-o", path)[0] == 0
     assert gonio.load(path).n_batches == 16
     # the second one, and the third
