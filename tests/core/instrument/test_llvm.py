@@ -11,6 +11,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from functools import partial
+from importlib import metadata
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -186,7 +187,7 @@ def test_prepare_never_raises(before_drjit):
     def broken(name):
         raise ValueError(name)
 
-    before_drjit.setattr(llvm.metadata, "distribution", broken)
+    before_drjit.setattr(metadata, "distribution", broken)
     llvm.prepare()
     assert VARIABLE not in os.environ
 
