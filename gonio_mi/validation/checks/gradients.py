@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -16,9 +16,10 @@ from ...single_precision import BSDF_ROUNDING
 from ...specimen.bsdf_trial import PluginFault
 from ..arrays import answer_of, drawn, of_eval, parameters
 from ..conditions import Condition, Effort
+from ..densities import Means
 from ..evidence import INTERFACE, Evidence
-from ..judgements import equal
-from ..mistakes import EVAL, EVAL_PDF, PDF, Claim, Function
+from ..judgements import apart, equal
+from ..mistakes import EVAL, EVAL_PDF, PDF, SAMPLE, Claim, Function
 from ..probe import (
     Probe,
     as_plugin_fault,
@@ -28,7 +29,7 @@ from ..probe import (
     spectral,
     vectors,
 )
-from ..samples import Samples
+from ..samples import MAX_SCORE, UNDERFLOW, Samples
 from .parameters import (
     GOLDEN,
     PARAMETERS,
@@ -52,10 +53,33 @@ def gradient(
     x, flags = type(params[name])(params[name]), dr.ADFlag.AllowNoGrad
     change = np.ravel(total(x + 1e-3) - total(x - 1e-3))[0] / 2e-3
     dr.enable_grad(x)
+    dr.set_grad(x, 1)
     forward = np.sum(dr.forward_to(total(x), flags=flags))
+    dr.set_grad(x, 0)
     dr.backward(total(x), flags=flags)
     found = [forward, np.sum(dr.grad(x))]
     return change, max(found, key=lambda one: abs(one - change))
+
+
+def gradient_of_weight(
+    bsdf: Any, ctx: Any, si: Any, u: Any, name: str, kind: int
+) -> Means:
+    """How the mean weight of a discrete lobe changes with a parameter, and as told."""
+    params = parameters(bsdf)
+
+    def weights(x: Any) -> Any:
+        params.update({name: x})
+        bs, weight = drawn(bsdf, ctx, si, u)
+        return dr.select(bs.sampled_type == kind, dr.sum(weight), 0)
+
+    x, along = type(params[name])(params[name]), mi.Float(0)
+    step = float(np.max(np.abs(x))) / 16
+    change = np.array(weights(x + step) - weights(x - step)) / (2 * step)
+    dr.enable_grad(along)
+    dr.set_grad(along, 1)
+    told = dr.forward_to(weights(x + along), flags=dr.ADFlag.AllowNoGrad)
+    off = change - np.array(told)
+    return np.mean(change), np.mean(told), np.std(off) / len(off) ** 0.5
 
 
 # Relative steps of central differences, whose error falls with their square: where the
@@ -76,18 +100,108 @@ MAX_CHANGE = 0.2
 # Part of the directions whose values may jump with a parameter.
 MAX_JUMPS = 0.1
 
-# Directions in which all functions are asked by all parameters at once.
-N_ASKED = 2**10
+# Directions in which all functions are asked by all parameters at once, and the least
+# samples of a discrete lobe.
+N_ASKED, MIN_ASKED = 2**10, 32
 
 # The graph stays: all functions follow what an update has prepared.
 FLAGS = dr.ADFlag.ClearVertices | dr.ADFlag.AllowNoGrad
 
-# What functions answer, a value before a density.
+
+
+def _light(probe: Probe, u: mi.Vector3f) -> tuple[mi.Spectrum, mi.Float]:
+    """What samples send, by a density that is held, and that density.
+
+    So integrators take a lobe that was chosen: its weight may change, and neither its
+    probability nor its direction.
+    """
+    bs, weight = probe.sample(u.x, mi.Point2f(u.y, u.z))
+    density = dr.detach(bs.pdf)
+    return weight * density, density
+
+
+# What functions answer, a value before a density, to directions or random numbers.
 FUNCTIONS: Mapping[Function, Callable[[Probe, mi.Vector3f], tuple[Any, ...]]] = {
     EVAL: lambda probe, wo: (probe.eval(wo),),
     PDF: lambda probe, wo: (probe.pdf(wo),),
     EVAL_PDF: Probe.eval_pdf,
+    SAMPLE: _light,
 }
+DIRECTED = EVAL, PDF, EVAL_PDF
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """Functions that are asked about a part of some samples.
+
+    Attributes
+    ----------
+    probe : Probe
+    own : ndarray
+        Numbers of the samples.
+    rows : ndarray, shape (n, 3)
+        Their directions; of discrete ones their random numbers.
+    functions : sequence of Function
+    both_ways : bool
+        Whether backward, too.
+    kind : int
+        Type of discrete samples; 0 of others.
+    """
+
+    probe: Probe
+    own: Integers
+    rows: Floats
+    functions: Sequence[Function] = (EVAL,)
+    both_ways: bool = False
+    kind: int = 0
+
+    @classmethod
+    def directions(
+        cls, bsdf: mi.BSDF, samples: Samples, most: int | None = None
+    ) -> _Asked | None:
+        """The value of ``eval`` where samples have a density; None of none."""
+        usable = samples.smooth & np.isfinite(samples.eval).all(axis=1)
+        own = _evenly(np.flatnonzero(usable), most)
+        probe = _probe_of(bsdf, samples, own)
+        return cls(probe, own, samples.wo[own]) if own.size else None
+
+    @classmethod
+    def lobes(cls, bsdf: mi.BSDF, samples: Samples) -> Iterator[_Asked]:
+        """Weights of discrete lobes, of each type."""
+        usable = samples.discrete & np.isfinite(samples.flux).all(axis=1)
+        for kind in np.unique(samples.type[usable]):
+            lobe = np.flatnonzero(usable & (samples.type == kind))
+            if lobe.size >= MIN_ASKED:
+                own = _evenly(lobe, 4 * N_ASKED)
+                probe = _probe_of(bsdf, samples, own)
+                yield cls(probe, own, samples.u[own], (SAMPLE,), kind=int(kind))
+
+    @property
+    def noun(self) -> str:
+        """What is asked about."""
+        return "samples of a discrete lobe" if self.kind else "directions"
+
+    @property
+    def mistake(self) -> Parameters:
+        """What is wrong."""
+        return Parameters.WEIGHT if self.kind else Parameters.GRADIENT
+
+    def shown(self, function: Function, name: str) -> Claim:
+        """How a script shows a wrong gradient by a parameter."""
+        if self.kind:
+            return Claim(gradient_of_weight, apart, (name, self.kind))
+        return Claim(gradient, equal, (answer_of(function), name))
+
+
+def _evenly(own: Integers, most: int | None) -> Integers:
+    """About `most` of some samples, of all angles of a sweep."""
+    # an odd step meets both sides, which alternate
+    return own[:: len(own) // most | 1] if most else own
+
+
+def _probe_of(bsdf: mi.BSDF, samples: Samples, own: Integers) -> Probe:
+    """Probe of these samples alone."""
+    return Probe(bsdf, samples.condition).of_lanes(mi.UInt32(own))
 
 
 class _Line:
@@ -128,66 +242,77 @@ def check_samples(evidence: Evidence, plan: Effort, samples: Samples) -> None:
 
     Of ``eval`` forward, by each parameter; of all functions also backward, by all
     parameters at once, and by each where that shows something. The latter where
-    updates may be many. In radiance mode, which is that of differentiable rendering,
-    over a sweep of incident directions and places, if that shows nothing.
+    updates may be many. Of the weights of discrete lobes, where ``eval`` is 0, by each
+    parameter. In radiance mode, which is that of differentiable rendering, over a sweep
+    of incident directions and places, if that shows nothing.
     """
+    bsdf = evidence.bsdf
     try:
-        params, values = number_parameters(evidence.bsdf, mi.TensorXf)
+        params, values = number_parameters(bsdf, mi.TensorXf)
     except PluginFault as fault:
         evidence.breach_of_fault(PARAMETERS, fault, effect=INTERFACE)
         return
-    usable = samples.smooth & np.isfinite(samples.eval).all(axis=1)
-    if not usable.any() or evidence.noisy or "_ad_" not in mi.variant():
+    if evidence.noisy or "_ad_" not in mi.variant():
         return
     fixed = mi.ParamFlags.NonDifferentiable.value
     # not at 0, where most ranges end and a lobe may vanish
     names = [k for k, x in values.items() if np.array(x).any()]
     names = [name for name in names if not params.flags(name) & fixed]
-    probe, wo = Probe(evidence.bsdf, samples.condition), samples.wo[usable]
-    closely = may_update_often(evidence, plan)
-    if closely and len(names) > 1:
-        try:
-            found = _wrong_gradients(probe, _Line(params, names), wo[:N_ASKED], True)
-            wrong = {guess.functions for guess, *_ in found}
-            # what `eval_pdf` says of a wrong `eval` is no news
-            closely = bool(wrong - {EVAL, EVAL_PDF} if EVAL in wrong else wrong)
-        except PluginFault:
-            closely = True  # by which?
-    own = np.flatnonzero(usable)
-    _check_each(evidence, params, names, probe, wo, closely, samples.condition, own)
-    swept = evidence.sweeps[0]
-    usable = swept.smooth & np.isfinite(swept.eval).all(axis=1)
-    if evidence.of("parameters") or evidence.of_volumes or not usable.any():
+    if not names:
         return
-    own = np.flatnonzero(usable)[: 4 * N_ASKED]
-    sweep = replace(swept.condition, mode="radiance", fields=())
-    probe = Probe(evidence.bsdf, sweep).of_lanes(mi.UInt32(own))
-    _check_each(evidence, params, names, probe, swept.wo[own], False, sweep, own)
+    if (one := _Asked.directions(bsdf, samples)) is not None:
+        if may_update_often(evidence, plan):
+            one = replace(one, functions=DIRECTED, both_ways=True)
+        if one.both_ways and len(names) > 1 and not _shows(one, params, names):
+            one = replace(one, functions=(EVAL,), both_ways=False)
+        _check_each(evidence, params, names, one)
+    # not at normal incidence, where the front is asked first
+    others = (*evidence.whole[1:], *evidence.whole[:1])
+    lobes = next((one for one in others if one.discrete.any()), None)
+    for one in _Asked.lobes(bsdf, lobes) if lobes else ():
+        _check_each(evidence, params, names, one)
+    if evidence.of("parameters") or evidence.of_volumes:
+        return
+    swept = evidence.sweeps[0]
+    radiance = replace(swept.condition, mode="radiance", fields=())
+    swept = replace(swept, condition=radiance)
+    for one in (
+        _Asked.directions(bsdf, swept, 4 * N_ASKED),
+        *_Asked.lobes(bsdf, swept),
+    ):
+        if one is not None:
+            _check_each(evidence, params, names, one)
+
+
+def _shows(asked: _Asked, params: Any, names: Sequence[str]) -> bool:
+    """Whether gradients by all parameters at once show what `eval` alone does not."""
+    few = replace(asked, own=asked.own[:N_ASKED], rows=asked.rows[:N_ASKED])
+    try:
+        found = _wrong_gradients(few, _Line(params, names))
+        wrong = {guess.functions for guess, *_ in found}
+    except PluginFault:
+        return True  # by which?
+    # what `eval_pdf` says of a wrong `eval` is no news
+    return bool(wrong - {EVAL, EVAL_PDF} if EVAL in wrong else wrong)
 
 
 def _check_each(
-    evidence: Evidence,
-    params: Any,
-    names: Sequence[str],
-    probe: Probe,
-    wo: Floats,
-    closely: bool,
-    asked: Condition,
-    own: Integers,
+    evidence: Evidence, params: Any, names: Sequence[str], asked: _Asked
 ) -> None:
-    """Check gradients by each parameter, of its `own` samples of a condition."""
+    """Check gradients by each parameter."""
+    condition = asked.probe.condition
     for name in names:
         try:
             line = _Line(params, [name])
-            for guess, text, size, wrong in _wrong_gradients(probe, line, wo, closely):
-                at, text = asked.middle(_mask(asked, own[wrong])), f"by {name}: {text}"
-                shown = Claim(gradient, equal, (answer_of(guess.functions), name))
-                how = {"found": text, "size": size, "shown": shown}
+            for guess, text, size, wrong in _wrong_gradients(asked, line):
+                at = condition.middle(_mask(condition, asked.own[wrong]))
+                shown = asked.shown(guess.functions, name)
+                how = {"found": f"by {name}: {text}", "size": size, "shown": shown}
                 evidence.breach(PARAMETERS, guess, at, **how)
         except PluginFault as fault:
             if fault.function == "parameters_changed":
                 continue  # a step beyond a range
-            shown = Claim(gradient, equal, (of_eval, name))
+            shown = asked.shown(EVAL, name)
             evidence.breach_of_fault(PARAMETERS, fault, shown=shown)
 
 
@@ -199,19 +324,17 @@ def _mask(asked: Condition, own: Integers) -> Flags:
 
 
 def _wrong_gradients(
-    probe: Probe, line: _Line, wo: Floats, closely: bool
+    asked: _Asked, line: _Line
 ) -> Iterator[tuple[Any, str, float, Flags]]:
-    """Guess, text, size and mask of wrong gradients, of each direction, along a line.
-
-    Unless `closely`, of ``eval`` forward alone.
-    """
-    name, asked = ", ".join(line.kinds), [*FUNCTIONS] if closely else [EVAL]
+    """Guess, text, size and mask of wrong gradients, of each sample, along a line."""
+    name, probe, rows = ", ".join(line.kinds), asked.probe, asked.rows
     params = mi.traverse(probe.bsdf)
 
     def answers(step: float) -> dict[Function, Floats]:
         if step:  # updates may take long
             assign(params, line.at(step))
-        return {one: _columns(FUNCTIONS[one](probe, vectors(wo)), wo) for one in asked}
+        each = ((one, FUNCTIONS[one](probe, vectors(rows))) for one in asked.functions)
+        return {one: _columns(answer, rows) for one, answer in each}
 
     along = dr.opaque(mi.Float, 0)
     dr.enable_grad(along)
@@ -219,29 +342,41 @@ def _wrong_gradients(
         here = answers(0)
         pairs = [(answers(h * line.size), answers(-h * line.size)) for h in STEPS]
         assign(params, line.at(0, along))
-        slopes = _forward(probe, asked, along, wo)
+        slopes = _forward(asked, along)
         # densities may be detached in all functions: those of samples are
         detached = all(not x[:, -1].any() for f, x in slopes.items() if f != EVAL)
-        for one in asked:
+        for one in asked.functions:
             slope, each = slopes[one], [[x[one] for x in pair] for pair in pairs]
             due, wrong, small = _differences(here[one], each, slope, line)
             if detached and one != EVAL:
                 wrong[:, -1] = False
+            if asked.kind and _cancel(np.where(wrong, slope - due, 0), here[one]):
+                continue
             # jumps, of which a gradient knows nothing, are in few directions
             share = float(wrong.any(axis=1).mean())
             if share > MAX_JUMPS:
                 # colours may exchange theirs
                 i = int(wrong.sum(axis=0).argmax())
                 own, expected = (np.median(x[wrong[:, i], i]) for x in (slope, due))
-                text = f"for {share:.3g} of the directions, with the median {own:.4g} "
-                text += f"where differences have {expected:.4g}"
-                yield Parameters.GRADIENT(one, name=name), text, share, wrong[:, i]
-            elif closely and (right := small & ~wrong.any(axis=1)).any():
-                by = _backward(probe, one, along, wo[right], slope[right])
+                text = f"for {share:.3g} of the {asked.noun}, with the median {own:.4g}"
+                text += f" where differences have {expected:.4g}"
+                yield asked.mistake(one, name=name), text, share, wrong[:, i]
+            elif asked.both_ways and (right := small & ~wrong.any(axis=1)).any():
+                by = _backward(probe, one, along, rows[right], slope[right])
                 own, expected, slack = by
                 if not abs(own - expected) <= slack:
                     text = f"{own:.4g} where forward gradients have {expected:.4g}"
                     yield Parameters.BACKWARD(one, name=name), text, 1.0, right
+
+
+def _cancel(off: Floats, here: Floats) -> bool:
+    """Whether errors of weights have the mean 0, as of lobes of one direction may be.
+
+    Of a parameter that moves light from one to the other, as far as chance may tell.
+    """
+    each = off / np.maximum(here[:, -1:], UNDERFLOW)
+    error = each.std(axis=0) / len(each) ** 0.5
+    return bool(np.all(np.abs(each.mean(axis=0)) <= MAX_SCORE * error))
 
 
 def _rows(parts: tuple[Any, ...]) -> list[mi.Float]:
@@ -270,16 +405,16 @@ def _differences(
     return fine, wrong & small, small.all(axis=1)
 
 
-def _forward(
-    probe: Probe, asked: Sequence[Function], along: mi.Float, wo: Floats
-) -> dict[Function, Floats]:
+def _forward(asked: _Asked, along: mi.Float) -> dict[Function, Floats]:
     """Derivatives of answers by what parameters depend on, shape (n, columns)."""
     # one answer may follow from another, whose gradient would be cleared
-    end, towards = dr.opaque(mi.Float, 1), vectors(wo)
-    answers = {f: tuple(x * end for x in FUNCTIONS[f](probe, towards)) for f in asked}
-    with as_plugin_fault(str(asked[0])):
+    end, given = dr.opaque(mi.Float, 1), vectors(asked.rows)
+    each = ((one, FUNCTIONS[one](asked.probe, given)) for one in asked.functions)
+    answers = {one: tuple(x * end for x in answer) for one, answer in each}
+    with as_plugin_fault(str(asked.functions[0])):
         dr.forward(along, flags=FLAGS)
-    return {k: _columns(tuple(map(dr.grad, x)), wo) for k, x in answers.items()}
+    slopes = {one: tuple(map(dr.grad, answer)) for one, answer in answers.items()}
+    return {one: _columns(slope, asked.rows) for one, slope in slopes.items()}
 
 
 def _backward(

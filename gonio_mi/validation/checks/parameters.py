@@ -105,6 +105,8 @@ class Parameters(Mistake):
     REMEMBERED = "{those} {does} not return when all parameters do"
     BACKWARD = "backward gradients of {who} by {name} are not its changes"
     GRADIENT = "gradients of {who} by {name} are not its changes"
+    WEIGHT = """gradients of the weight of {who} by {name} are not the changes of its
+        discrete lobe"""
 
 
 # Step of a sequence that is spread evenly: the golden section.
