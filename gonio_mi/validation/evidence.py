@@ -378,7 +378,11 @@ class Evidence:
         what: str,
         **others: Any,
     ) -> None:
-        """Add a breach on how far a ratio is from 1, if many samples are `wrong`."""
+        """Add a breach on how far a ratio is from 1, if many samples are `wrong`.
+
+        The fraction that is wrong is that of the light, of which each sample has its
+        weight, unless `others` have it as `off`.
+        """
         if not beyond_rounding(wrong):
             return
         usable = wrong & (np.abs(ratio) < MAX_RATIO)
@@ -386,8 +390,8 @@ class Evidence:
         if usable.any():
             low, middle, high = np.quantile(ratio[usable], [0.05, 0.5, 0.95])
             spread = f"{low:.4g} to {high:.4g}, median {middle:.4g}"
-        off = np.mean(np.where(usable, np.minimum(np.abs(ratio - 1), 1), wrong))
-        others |= {"found": f"{what} is {spread}", "off": float(off)}
+        off = np.where(usable, np.minimum(np.abs(ratio - 1), 1), wrong)
+        others = {"off": samples.share(off), "found": f"{what} is {spread}"} | others
         self.breach(question, guess, samples, wrong, **others)
 
     def change(self, some: Collection[Breach], **changes: Any) -> None:

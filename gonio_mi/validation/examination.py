@@ -36,7 +36,7 @@ from .checks import (
 )
 from .checks.consistency import check_again, check_identities, check_memory
 from .checks.flags import Declared
-from .conditions import Condition, Effort, sides_of
+from .conditions import Condition, Effort, Sweep, sides_of
 from .evidence import BIAS, MAX_P, NOISE, Evidence, Question
 from .guilt.hypotheses import explain_reciprocity, likely_mistake
 from .maps import in_radiance_mode
@@ -404,6 +404,7 @@ def _add_maps_of_failure(evidence: Evidence, plan: Effort) -> None:
         for one in (*evidence.breaches, *strong)
         if one.effect == BIAS and one.share and one.condition is not None
         if one.condition.theta_i < MAX_PICTURED
+        if not isinstance(one.condition, Sweep)  # which no map has
     ]
     if not own or not evidence.maps:
         return

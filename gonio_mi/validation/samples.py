@@ -260,6 +260,11 @@ class Samples:
         """Random numbers as ``sample`` takes them."""
         return random_numbers(self.u)
 
+    def share(self, part: Numbers) -> float:
+        """Fraction of the light that is a `part` of the weight of each sample."""
+        light = np.nan_to_num(np.abs(self.weight).mean(axis=1), posinf=0.0)
+        return float(light @ part / max(light.sum(), UNDERFLOW))
+
     def fraction(self, mask: Flags) -> str:
         """Text on the percentage of samples in the mask, and where they are."""
         place = self.condition.place(mask)

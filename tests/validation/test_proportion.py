@@ -76,6 +76,41 @@ class LosesLittle:
         return super().direction(ctx, si, sample1, sample2)
 
 
+class DoubleAtGrazing:
+    """A tenth of the samples, which are even, have a hundredth of the light: doubled."""
+
+    wrong, factor = "sample", 2.0
+
+    def direction(self, ctx, si, sample1, sample2):
+        return mi.warp.square_to_uniform_hemisphere(sample2)
+
+    def density(self, ctx, si, wo):
+        return dr.inv_two_pi + 0 * wo.z
+
+    def by(self, function, wo):
+        return dr.select((function == self.wrong) & (wo.z < 0.1), self.factor, 1)
+
+    def weight(self, ctx, si, bs):
+        return super().weight(ctx, si, bs) * self.by("sample", bs.wo)
+
+    def eval(self, ctx, si, wo, active=True):
+        return super().eval(ctx, si, wo, active) * self.by("eval", wo)
+
+    def eval_pdf(self, ctx, si, wo, active=True):
+        value, pdf = super().eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
+        return value * self.by("eval_pdf", wo), pdf
+
+
+class DarkAtGrazing(DoubleAtGrazing):
+    """What `eval` has not is a hundredth of the light, too."""
+
+    wrong, factor = "eval", 0.0
+
+
+class JointDarkAtGrazing(DoubleAtGrazing):
+    wrong, factor = "eval_pdf", 0.0
+
+
 def judged(mixin, **options):
     """Verdict on a mixin."""
     mi.register_bsdf(name_of(mixin), over(mixin, plain()))
@@ -127,3 +162,21 @@ def test_what_is_little_at_some_angles_is_looked_at_between():
     verdict = validate({"type": "roughconductor", "alpha": 0.2}, effort="normal")
     assert not verdict.passed, str(verdict)
     assert 1e-4 < verdict["weights"].share < 2e-3
+
+
+@pytest.mark.parametrize(
+    ("mixin", "property_"),
+    [
+        (DoubleAtGrazing, "sampled_weight"),
+        (DarkAtGrazing, "weights"),
+        (DarkAtGrazing, "sampling"),
+        (JointDarkAtGrazing, "eval_pdf"),
+    ],
+)
+@pytest.mark.usefixtures("mono")
+def test_shares_are_of_the_light_not_of_samples(mixin, property_):
+    """A hundredth; of `sampling`, at 35 degrees, less what chance explains."""
+    verdict = judged(mixin)
+    assert mixin.wrong in str(verdict.function), str(verdict)
+    assert verdict[property_].counts, str(verdict)
+    assert 0.005 < verdict[property_].share < 0.0125, str(verdict)

@@ -57,6 +57,11 @@ def registered(name):
     class GrainyRight(Grainy):
         mean = 1.0
 
+    class GrainyALittle(Grainy):
+        """Found by the mean over all angles of incidence alone."""
+
+        mean = 0.998
+
     class NormalLost(Right):
         def sample(self, ctx, si, sample1, sample2, active=True):
             bs, weight = super().sample(ctx, si, sample1, sample2, active)
@@ -107,6 +112,7 @@ SHARED = {}
 # By plugin the functions that may be named, and what fails first.
 WRONG = {
     "grainy": ("eval or sample", "sampled_weight"),
+    "grainy_a_little": ("eval or sample", "sampled_weight"),
     "normal_lost": ("sample", "weights"),
     "arc_cosine": ("eval", "ends"),
     "clamped": ("eval or sample", "parameters"),
@@ -150,6 +156,36 @@ def test_the_share_of_a_grainy_eval_is_no_lower_bound():
     share = verdict["sampled_weight"].share
     assert 0.02 < share < 0.04
     assert "of the flux from an illuminated surface is wrong" in verdict.headline
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wrong", ["eval", "sample", ""])
+@pytest.mark.usefixtures("mono")
+def test_where_weights_alone_fail_both_functions_are_named(wrong):
+    """Facets of alpha 1e-3, whose roundings hide a permille of each sample."""
+    facets = {"type": "roughconductor", "distribution": "ggx", "alpha": 1e-3}
+
+    class Sharp(plain()):
+        components = (mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide,)
+
+        def load(self, props):
+            self.facets = mi.load_dict(facets)
+
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            bs, weight = self.facets.sample(ctx, si, sample1, sample2, active)
+            return bs, weight * (0.999 if wrong == "sample" else 1)
+
+        def eval(self, ctx, si, wo, active=True):
+            value = self.facets.eval(ctx, si, wo, active)
+            return value * (0.999 if wrong == "eval" else 1)
+
+        def pdf(self, ctx, si, wo, active=True):
+            return self.facets.pdf(ctx, si, wo, active)
+
+    mi.register_bsdf("sharp", Sharp)
+    verdict = validate({"type": "sharp"}, effort="quick")
+    assert [one.name for one in verdict.failures] == ["weights"] * bool(wrong)
+    assert verdict.function == ("eval or sample" if wrong else None), str(verdict)
 
 
 @pytest.mark.parametrize(("sign", "least"), [(1, 0.02), (0, 0.0)])

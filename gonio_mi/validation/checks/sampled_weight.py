@@ -99,7 +99,8 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
         effect = "" if _is_biased(samples, lit) else INTERFACE
         found = ratio_of(flux, due), "weight times pdf over `eval`"
         guess, at = SampledWeight.OTHER(SAMPLE), (samples, wrong[1])
-        evidence.breach_of_ratio(SAMPLED_WEIGHT, guess, *at, *found, effect=effect)
+        how = {"off": _wrong_light(samples, wrong[1]), "effect": effect}
+        evidence.breach_of_ratio(SAMPLED_WEIGHT, guess, *at, *found, **how)
         return
     densities = samples.sampled_pdf, samples.pdf
     bias = min((_bias(samples, x, lit & (x > 0)) for x in densities), key=abs)
@@ -138,6 +139,18 @@ def _bias(samples: Samples, pdf: Floats, lit: Flags) -> float:
     known = np.maximum(change.mean(axis=0) / PART_OF_CHANGE, BSDF_ROUNDING * whole)
     found = np.where(np.abs(bias) > np.maximum(known, noise), bias / whole, 0.0)
     return float(found[np.abs(found).argmax()])
+
+
+def _wrong_light(samples: Samples, wrong: Flags) -> float:
+    """Fraction of the light by which weights and ``eval`` over ``pdf`` differ.
+
+    Of the larger of both sums, as of maps.
+    """
+    few = samples.select(samples.usable & (samples.pdf > 0))
+    due = (few.eval / few.pdf[:, None]).mean(axis=1)
+    drawn, own = few.weight.mean(axis=1), wrong[samples.usable & (samples.pdf > 0)]
+    off = np.abs(drawn - due)[own].sum()
+    return float(off / max(drawn.sum(), due.sum(), UNDERFLOW))
 
 
 def _is_biased(samples: Samples, lit: Flags) -> bool:

@@ -75,7 +75,8 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
         part = f"{100 * dark.sum() / usable.sum():.3g} % of the samples with light"
         guess = (Weights.DARK_AND_IMPOSSIBLE if both else Weights.DARK)(EVAL)
         text, size = f"{part} at {samples.condition}", 1 + float(dark.mean())
-        evidence.breach(WEIGHTS, guess, samples, dark, statistic=text, size=size)
+        how = {"statistic": text, "size": size, "off": samples.share(dark)}
+        evidence.breach(WEIGHTS, guess, samples, dark, **how)
 
 
 def check_unsampled_side(evidence: Evidence, condition: Condition) -> bool:
