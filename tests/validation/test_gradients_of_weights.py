@@ -1,4 +1,4 @@
-# ruff: noqa: ARG002 (every method has Mitsuba's signature)
+# ruff: noqa: ARG001, ARG002 (functions have one signature, and methods Mitsuba's)
 """Gradients of the weights of discrete lobes, where `eval` is 0; and at all angles."""
 
 import drjit as dr

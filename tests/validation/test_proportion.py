@@ -77,7 +77,7 @@ class LosesLittle:
 
 
 class DoubleAtGrazing:
-    """A tenth of the samples, which are even, have a hundredth of the light: doubled."""
+    """A tenth of even samples have a hundredth of the light, which is doubled."""
 
     wrong, factor = "sample", 2.0
 

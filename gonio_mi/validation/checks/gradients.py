@@ -14,7 +14,7 @@ from ...array_types import Flags, Floats, Integers
 from ...mitsuba_compat import floats
 from ...single_precision import BSDF_ROUNDING
 from ...specimen.bsdf_trial import PluginFault
-from ..arrays import answer_of, drawn, of_eval, parameters
+from ..arrays import answer_of, drawn, parameters
 from ..conditions import Condition, Effort
 from ..densities import Means
 from ..evidence import INTERFACE, Evidence
@@ -106,7 +106,6 @@ N_ASKED, MIN_ASKED = 2**10, 32
 
 # The graph stays: all functions follow what an update has prepared.
 FLAGS = dr.ADFlag.ClearVertices | dr.ADFlag.AllowNoGrad
-
 
 
 def _light(probe: Probe, u: mi.Vector3f) -> tuple[mi.Spectrum, mi.Float]:

@@ -99,7 +99,8 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
         effect = "" if _is_biased(samples, lit) else INTERFACE
         found = ratio_of(flux, due), "weight times pdf over `eval`"
         guess, at = SampledWeight.OTHER(SAMPLE), (samples, wrong[1])
-        how = {"off": _wrong_light(samples, wrong[1]), "effect": effect}
+        off = _wrong_light(samples, wrong[1])
+        how: dict[str, Any] = {"off": off, "effect": effect}
         evidence.breach_of_ratio(SAMPLED_WEIGHT, guess, *at, *found, **how)
         return
     densities = samples.sampled_pdf, samples.pdf
@@ -107,7 +108,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
     if bias:
         guess = SampledWeight.OTHER_MEAN(EVAL | SAMPLE)
         text = f"the mean weight is {1 + bias:.4g} times that of `eval` over pdf"
-        how: dict[str, Any] = {"found": text, "size": abs(bias), "of_flux": True}
+        how = {"found": text, "size": abs(bias), "of_flux": True}
         how["off"] = abs(bias) / max(1, 1 + bias) * float(lit.mean())
         how["shown"] = Claim(mean_weight, apart)
         evidence.breach(SAMPLED_WEIGHT, guess, samples.condition, **how)
@@ -146,10 +147,10 @@ def _wrong_light(samples: Samples, wrong: Flags) -> float:
 
     Of the larger of both sums, as of maps.
     """
-    few = samples.select(samples.usable & (samples.pdf > 0))
-    due = (few.eval / few.pdf[:, None]).mean(axis=1)
-    drawn, own = few.weight.mean(axis=1), wrong[samples.usable & (samples.pdf > 0)]
-    off = np.abs(drawn - due)[own].sum()
+    known = samples.usable & (samples.pdf > 0)
+    few = samples.select(known)
+    drawn, due = few.weight.mean(axis=1), few.eval.mean(axis=1) / few.pdf
+    off = np.abs(drawn - due)[wrong[known]].sum()
     return float(off / max(drawn.sum(), due.sum(), UNDERFLOW))
 
 
