@@ -61,25 +61,36 @@ def gradient(
     return change, max(found, key=lambda one: abs(one - change))
 
 
-def gradient_of_weight(
-    bsdf: Any, ctx: Any, si: Any, u: Any, name: str, kind: int
-) -> Means:
+def weight_slope(bsdf: Any, ctx: Any, si: Any, u: Any, name: str, kind: int) -> Means:
     """How the mean weight of a discrete lobe changes with a parameter, and as told."""
-    params = parameters(bsdf)
+    params, along = parameters(bsdf), mi.Float(0)
+    x = type(params[name])(params[name])
 
-    def weights(x: Any) -> Any:
-        params.update({name: x})
+    def weights(change: Any) -> Any:
+        params.update({name: x + change})
         bs, weight = drawn(bsdf, ctx, si, u)
         return dr.select(bs.sampled_type == kind, dr.sum(weight), 0)
 
-    x, along = type(params[name])(params[name]), mi.Float(0)
-    step = float(np.max(np.abs(x))) / 16
-    change = np.array(weights(x + step) - weights(x - step)) / (2 * step)
+    h = float(np.abs(np.array(x)).max()) / 16
+    far, near = (np.array(weights(s) - weights(-s)) / (2 * s) for s in (h, h / 2))
     dr.enable_grad(along)
     dr.set_grad(along, 1)
-    told = dr.forward_to(weights(x + along), flags=dr.ADFlag.AllowNoGrad)
-    off = change - np.array(told)
-    return np.mean(change), np.mean(told), np.std(off) / len(off) ** 0.5
+    told = np.array(dr.forward_to(weights(along), flags=dr.ADFlag.AllowNoGrad))
+    params.update({name: x})
+    error = np.std(near - told) / near.size**0.5
+    error += abs(np.mean(far - near)) + 1e-6 / h  # of differences, and of roundings
+    return np.mean(near), np.mean(told), error
+
+
+def weight_slopes(bsdf: Any, ctx: Any, si: Any, u: Any) -> Any:
+    """The same of all discrete lobes and numbers of a BSDF."""
+    bs, params = drawn(bsdf, ctx, si, u)[0], parameters(bsdf)
+    kinds = np.unique(np.array(bs.sampled_type) & int(mi.BSDFFlags.Delta))
+    fixed, found = mi.ParamFlags.NonDifferentiable.value, [(0, 0, 1)]
+    for name, x in list(params) if np.any(kinds) else ():
+        if dr.is_float_v(x) and np.array(x).any() and not params.flags(name) & fixed:
+            found += [weight_slope(bsdf, ctx, si, u, name, int(k)) for k in kinds if k]
+    return np.transpose(found)
 
 
 # Relative steps of central differences, whose error falls with their square: where the
@@ -188,7 +199,7 @@ class _Asked:
     def shown(self, function: Function, name: str) -> Claim:
         """How a script shows a wrong gradient by a parameter."""
         if self.kind:
-            return Claim(gradient_of_weight, apart, (name, self.kind))
+            return Claim(weight_slope, apart, (name, self.kind))
         return Claim(gradient, equal, (answer_of(function), name))
 
 

@@ -30,6 +30,9 @@ from ...errors import SettingError, SpecimenError
 from ...progress import bar
 from ...reports.page import folded, preformatted, save_page, table
 from ..arrays import of_eval, of_weight
+from ..checks.gradients import weight_slopes
+from ..judgements import most_apart
+from ..mistakes import Claim
 from ..questions import OF_SURFACES as SURFACES, OF_VOLUMES as VOLUMES
 from ..reproducers import ANYWHERE, by_lattices, script, source_of
 from ..verdict import FAILS, Property, Verdict
@@ -51,11 +54,15 @@ QUESTIONS: tuple[tuple[str, int, str, tuple[Any, ...]], ...] = (
     ("flags", 50, "flags", ()),
     ("masks", 50, "sample", (of_weight,)),
     ("ends", 50, "sample", (of_weight,)),
+    ("parameters", 50, "sample", ()),
 )
 
-# What is asked of surfaces only: no phase function of Mitsuba heeds a mask, and
-# microflakes are reciprocal with their projected area.
-OF_SURFACES = ("components", "flags", "masks", "reciprocity")
+# How it is shown where a plugin that holds has no finding to be shown.
+CLAIMS = {"parameters": Claim(weight_slopes, most_apart)}
+
+# What is asked of surfaces only: no phase function of Mitsuba heeds a mask or has
+# discrete lobes, and microflakes are reciprocal with their projected area.
+OF_SURFACES = ("components", "flags", "masks", "parameters", "reciprocity")
 
 # Not asked for reciprocity: shading normals are not reciprocal, nor is a table of
 # measurements between its few angles of incidence.
@@ -163,8 +170,10 @@ def _of_properties(
     asked = {one.name: one.shown for one in (VOLUMES if volumes else SURFACES)}
     left_out = {*OF_SURFACES} if volumes else set()
     left_out |= {"reciprocity", "adjoint"} if plugin in NOT_RECIPROCAL else set()
+    left_out |= {"parameters"} if mi.is_polarized else set()  # of numbers, not matrices
     for name, theta_i, function, given in QUESTIONS:
-        if name in left_out or (claim := asked.get(name)) is None:
+        claim = CLAIMS.get(name, asked.get(name))
+        if name in left_out or claim is None:
             continue
         found = Property(
             name,

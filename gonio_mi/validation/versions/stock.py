@@ -31,7 +31,12 @@ def bsdfs() -> Iterator[list[dict[str, Any]]]:
             {"alpha": 0.2} | ggx,
             {"alpha": 0.3, "sample_visible": False} | ggx,
         ],
-        "plastic": [{}, {"nonlinear": True}, {"int_ior": 1.9}],
+        "plastic": [
+            {},
+            {"nonlinear": True},
+            {"int_ior": 1.9},
+            {"specular_reflectance": 0.8},
+        ],
         "roughplastic": [{"alpha": 0.1}, {"alpha": 0.3} | ggx, {"alpha": 0.6}],
         "pplastic": [{"alpha": x} for x in (0.1, 0.3, 0.6)],
         "principled": [
@@ -71,6 +76,9 @@ def _composed() -> dict[str, list[dict[str, Any]]]:
         for values in (heights, normals)
     )
     nested = (diffuse, glossy, {"type": "plastic"})
+    bright, dark = (
+        {"type": "conductor", "specular_reflectance": x} for x in (0.9, 0.4)
+    )
     return {
         "mask": [{"opacity": x, "nested": diffuse} for x in (0.2, 0.5, 0.9)],
         "twosided": [
@@ -82,6 +90,7 @@ def _composed() -> dict[str, list[dict[str, Any]]]:
             {"weight": 0.3, "first": diffuse, "second": glossy},
             {"weight": 0.7, "first": diffuse, "second": {"type": "plastic"}},
             {"weight": 0.25, "first": diffuse, "second": {"type": "conductor"}},
+            {"weight": 0.3, "first": bright, "second": dark},
         ],
         "bumpmap": [{"heights": bumps, "nested": one} for one in nested],
         "normalmap": [{"normalmap": slopes, "nested": one} for one in nested],
