@@ -53,6 +53,9 @@ def test_defect_of_the_installed_mitsuba(path):
 
 # The same where there is no defect, by a change of the script.
 MENDED = {
+    "blendbsdf_gradients": ('"weight.value"', '"bsdf_0.specular_reflectance.value"'),
+    "plastic_gradients": ('"plastic"', '"conductor"'),
+    "thindielectric_gradients": ('"eta"', '"specular_reflectance.value"'),
     "beckmann_density": ('"alpha"', '"distribution": "ggx", "alpha"'),
     "bumpmap_polarisation": ("0.3 * x + 0.2 * y", "0 * x"),
     "conductor_all_normals": ("False", "True"),

@@ -1,0 +1,28 @@
+# thindielectric: weights have no gradient by `eta`, as probabilities have.
+# Central differences of the mean weight of the mirror lobe, and its gradient.
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+mi.set_variant("llvm_ad_mono")
+bsdf = mi.load_dict({"type": "thindielectric", "specular_reflectance": 0.8})
+ctx, n = mi.BSDFContext(mi.TransportMode.Importance), 2**20
+si = dr.zeros(mi.SurfaceInteraction3f, n)
+si.wi, si.sh_frame = mi.Vector3f(0.48, 0, 0.8772685), mi.Frame3f([0, 0, 1])
+u, name = (dr.arange(mi.Float, n) + 0.5) / n, "eta"
+params = mi.traverse(bsdf)
+x = mi.Float(params[name])
+
+
+def mirrored(change):
+    params.update({name: x + change})
+    bs, weight = bsdf.sample(ctx, si, u, mi.Point2f(0.3, 0.6))
+    own = mi.has_flag(bs.sampled_type, mi.BSDFFlags.DeltaReflection)
+    return dr.select(own, weight[0], 0)
+
+
+a = np.mean(np.array(mirrored(0.02) - mirrored(-0.02), float)) / 0.04
+dr.enable_grad(x)
+dr.set_grad(x, 1)
+b = np.mean(dr.forward_to(mirrored(0), flags=dr.ADFlag.AllowNoGrad))
+print(f"{a:.6g} and {b:.6g}: {abs(a - b) / abs(a) / 6.1e-05:.3g} roundings")
