@@ -324,7 +324,7 @@ def unexplained_light(maps: FourMaps, name: str, max_p: float) -> float:
     std_err = np.abs(off) / np.maximum(np.abs(z), 1e-30)
     off = np.maximum(np.abs(off) * _certain(z), std_err * common * (z != 0))
     off = np.minimum(off / np.maximum(expected, 1e-30), 1.0)
-    return float(off @ light) / whole + 1 - maps.judged
+    return min(float(off @ light) / whole + 1 - maps.judged, 1.0)
 
 
 def _certain(z: Floats) -> Floats:

@@ -10,10 +10,10 @@ from reproduced import is_short, told
 
 from gonio_mi.validation import reproducer, validate
 from gonio_mi.validation.arrays import of_eval
-from gonio_mi.validation.checks.gradients import gradient
+from gonio_mi.validation.checks.gradients import gradient, weight_slopes
 
 CONDUCTOR = {"type": "conductor", "specular_reflectance": 0.9}
-GREY = {"type": "conductor", "specular_reflectance": 0.4}
+GREY = CONDUCTOR | {"specular_reflectance": 0.4}
 
 
 def two_lobes(weight, kinds=("DeltaReflection", "Null")):
@@ -131,6 +131,7 @@ def test_lobes_of_one_direction_are_one(wrong):
         ({"type": "thindielectric"}, "eta"),
         ({"type": "blendbsdf", "weight": 0.3, "a": GREY, "b": GREY}, None),
         ({"type": "mask", "opacity": 0.6, "a": CONDUCTOR}, None),
+        ({"type": "mask", "opacity": 0.98, "a": {"type": "diffuse"}}, None),
         (CONDUCTOR | {"eta": 0.2, "k": 3.9}, None),
         ({"type": "dielectric", "specular_reflectance": 0.8}, None),
     ],
@@ -177,3 +178,24 @@ def test_a_script_finds_right_gradients_right():
     change, told = gradient(bsdf, mi.BSDFContext(), si, u, of_eval, name)
     assert told > 0
     np.testing.assert_allclose(change, told, rtol=1e-3)
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize(
+    ("specimen", "wrong"),
+    [
+        ({"type": "mask", "opacity": 0.6, "a": CONDUCTOR}, False),
+        (CONDUCTOR | {"eta": 0.2, "k": 3.9}, False),
+        ({"type": "diffuse"}, False),
+        ({"type": "plastic"}, True),
+    ],
+)
+def test_slopes_of_all_weights(specimen, wrong):
+    """As the table of conformance asks them: 8 standard errors, of the worst."""
+    n = 2**18
+    bsdf, si = mi.load_dict(specimen), dr.zeros(mi.SurfaceInteraction3f, n)
+    si.wi = mi.Vector3f(0.6, 0, 0.8)
+    u = mi.Point3f(*np.random.default_rng(0).random((3, n), dtype=np.float32))
+    a, b, error = weight_slopes(bsdf, mi.BSDFContext(), si, u)
+    assert (np.abs(a - b) > 8 * error).any() == wrong
+    assert (len(a) == 1) == (specimen["type"] == "diffuse")

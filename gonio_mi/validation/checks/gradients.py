@@ -409,9 +409,9 @@ def _differences(
     noise = N_ROUNDINGS * np.finfo(np.float32).eps * (pairs[-1][0] + pairs[-1][1])
     changes = np.abs(fine - middle) + np.abs(middle - coarse)
     wrong = ~(np.abs(slope - fine) <= STEP_SLACK * changes + noise / widths[-1])
-    # where the smallest step changes much, differences know nothing of the slope
+    # where the smallest step changes much, or one is beyond a range, they know nothing
     each = [np.abs(x - here) <= MAX_CHANGE * here for x in pairs[-1]]
-    small = np.all(each, axis=0)
+    small = np.all(each, axis=0) & np.isfinite(changes)
     return fine, wrong & small, small.all(axis=1)
 
 
