@@ -144,8 +144,10 @@ def register():
             return mi.Float(self.choice if first and second else float(second))
 
         def power(self, si, wo):
-            along = dr.maximum(dr.dot(wo, mi.reflect(si.wi)), 0)
-            return dr.power(along, self.exponent)
+            along = dr.dot(wo, mi.reflect(si.wi))
+            # a power of 0 has no derivative by its exponent
+            power = dr.power(dr.maximum(along, 1e-30), self.exponent)
+            return dr.select(along > 0, power, 0)
 
         def values(self, si, wo):
             lobe = (self.exponent + 2) / dr.two_pi * self.power(si, wo)

@@ -17,11 +17,12 @@ from plain_bsdf import lobes, name_of, over, plain
 
 @dataclass(frozen=True)
 class Right:
-    """A mixin or a dictionary, and what may be remarked of it."""
+    """A mixin or a dictionary, what may be remarked of it, and what it lacks."""
 
     of: Any
     remarks: str = ""
     variant: str = "mono"
+    allow: str = ""
 
 
 def both(nested):
@@ -68,7 +69,10 @@ UNUSUAL = {
     "blend of blends": Right(blend(blend(DIFFUSE, METAL, 0.3), METAL), BLEND),
     "blend of weight 0": Right(blend(DIFFUSE, METAL, 0.0), BLEND),
     "blend by checks": Right(lambda: blend(DIFFUSE, METAL, checks(0.1, 0.9)), BLEND),
-    "blend with nothing": Right(blend({"type": "null"}, DIFFUSE, 0.6), BLEND),
+    # whose discrete lobe has no gradient by the weight
+    "blend with nothing": Right(
+        blend({"type": "null"}, DIFFUSE, 0.6), BLEND, allow="parameters"
+    ),
     "two sides of blends": Right(both(blend(blend(FLAT, FLAT), FLAT)), BLEND),
     "mask by checks": Right(lambda: mask(METAL, checks(0.2, 0.8)), MASK),
     "closed mask": Right(mask(DIFFUSE, 1.0), MASK),
