@@ -287,7 +287,7 @@ def unexplained_fraction(maps: FourMaps, name: str) -> tuple[float, float]:
     surplus = float(abs(maps.condition.wi[2]) * gain)
     if name == "sampling":
         light = np.maximum(maps.totals.sums / n, maps.weights)
-        light /= np.maximum(np.maximum(drawn, due), 1e-30)
+        light /= np.maximum(np.maximum(drawn, due), 1 / n)  # of a sample at least
         drawn, due = drawn * light, due * light
     whole = max(drawn.sum(), due.sum())
     if not whole > 0:
