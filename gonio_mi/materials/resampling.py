@@ -129,13 +129,13 @@ class Material:
     def _measured(self, node: tuple[int, int], wo: Any) -> tuple[list[Any], Any]:
         """Values at measured incidence, where no lobe moves, and where they hold."""
         row = mi.UInt32(node[0] * len(self.theta_i) + node[1])
-        phi_i = mi.Float64(np.radians(self.phi_i[node[0]]))
-        dr.make_opaque(row, phi_i)
+        turns = mi.Float(self.phi_i[node[0]] / 360)
+        dr.make_opaque(row, turns)
         lower = wo.z < 0
         wanted = (wo.z != 0) & ((self.n_hemispheres > 1) | ~lower)
         row = row * self.n_hemispheres + dr.select(lower, mi.UInt32(1), 0)
-        point = seen_from(wo, turn_by(phi_i))
-        return self._face.lobes.measured.values(row, phi_i, point, wanted), wanted
+        point = seen_from(wo, turn_by(turns * (2 * dr.pi)))
+        return self._face.lobes.measured.values(row, turns, point, wanted), wanted
 
     def totals(
         self, hemisphere: int, theta_i: Floats, phi_i: Floats

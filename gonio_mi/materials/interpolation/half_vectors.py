@@ -43,8 +43,11 @@ def reflected(wo: Any, before: Any, after: Any) -> tuple[list[Any], Any]:
         Solid angle there for one at `wo`.
     """
     half = [a + b for a, b in zip(wo, before)]
-    scale = _dot(half, after) / _dot(half, before)
-    return [scale * a - b for a, b in zip(half, after)], scale
+    turned = [a - b for a, b in zip(after, before)]
+    # by differences: light that comes from the same direction stays, to the last digit
+    more = _dot(half, turned) / _dot(half, before)
+    to = [a + more * b - c for a, b, c in zip(wo, half, turned)]
+    return to, 1 + more
 
 
 def _dot(a: Any, b: Any) -> Any:

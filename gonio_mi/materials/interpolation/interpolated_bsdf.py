@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 
 import drjit as dr
 import mitsuba as mi
@@ -29,9 +30,9 @@ from .lookups import (
     IncidentPlaces,
     Place,
     Turn,
-    doubles,
-    read,
+    packet,
     seen_from,
+    singles,
     towards,
     turn_by,
 )
@@ -72,7 +73,9 @@ class InterpolatedBSDF:
         )
         self.anisotropic = bool(incident) or self.incident.n_azimuths > 1
         self.lobes = InterpolatedLobes(table, self.incident, half_vectors, quantiles)
-        self.flux = doubles(table.flux.mean(axis=-1))
+        # of both ends of a segment, for each hemisphere
+        flux = table.flux.mean(axis=-1).reshape(-1, self.n_hemispheres)
+        self.flux = singles(np.moveaxis(flux[self.incident.pairs], 1, 2))
         self.transmits = bool(table.flux[:, :, 1:].any())
 
     # -------------------------------------------------------------- value and density
@@ -92,8 +95,8 @@ class InterpolatedBSDF:
         value, total, wanted = self.values(wi, wo, enabled, active)
         cosine = dr.abs(wo.z)
         mean = sum(value) / len(value)
-        pdf = dr.select(wanted & (total > 0), mi.Float(mean / total) * cosine, 0)
-        value = self._spectrum([mi.Float(channel) for channel in value], wavelengths)
+        pdf = dr.select(wanted & (total > 0), mean / total * cosine, 0)
+        value = self._spectrum(value, wavelengths)
         return (value * cosine) & wanted, pdf
 
     def _spectrum(
@@ -120,7 +123,7 @@ class InterpolatedBSDF:
         wo: mi.Vector3f,
         enabled: tuple[bool, bool] = (True, True),
         active: mi.Bool = True,
-    ) -> tuple[list[mi.Float64], mi.Float64, mi.Bool]:
+    ) -> tuple[list[mi.Float], mi.Float, mi.Bool]:
         """BSDF in 1/sr in each channel; all the light; where the first is not zero."""
         lower = wo.z < 0
         wanted = active & dr.select(lower, enabled[1], enabled[0]) & (wo.z != 0)
@@ -131,29 +134,34 @@ class InterpolatedBSDF:
             hemisphere = dr.select(lower, mi.UInt32(1), hemisphere)
         frame = self.incident.frame(wi)
         point = seen_from(wo, frame)
-        value = [mi.Float64(0)] * self.lobes.n_channels
-        total = mi.Float64(0)
+        value = [mi.Float(0)] * self.lobes.n_channels
+        total = mi.Float(0)
         for place in self.incident.around(wi, frame):
-            for number in self._hemispheres(enabled):
-                total += sum(self._fluxes(place, number))
+            total += sum(flux for *_, flux in self._fluxes(place, enabled))
             brdf = self.lobes.values(place, hemisphere, point, wanted)
             value = [a + place.weight * b for a, b in zip(value, brdf)]
         return value, total, wanted
 
-    def _fluxes(self, place: Place, hemisphere: int) -> tuple[mi.Float64, mi.Float64]:
-        """Light that both ends of the segment contribute to a hemisphere."""
-        rows = [row * self.n_hemispheres + hemisphere for row in place.rows]
-        low, high = (read(self.flux, row) for row in rows)
-        return place.weight * (1 - place.t) * low, place.weight * place.t * high
-
-    def _hemispheres(self, enabled: tuple[bool, bool]) -> list[int]:
-        return [n for n in range(self.n_hemispheres) if enabled[n]]
+    def _fluxes(
+        self, place: Place, enabled: tuple[bool, bool]
+    ) -> list[tuple[int, int, mi.Float]]:
+        """Hemispheres, ends of the segment, and the light that these contribute."""
+        if self.n_hemispheres == 1:
+            fluxes = dr.gather(mi.Point2f, self.flux, place.pair)
+        else:
+            fluxes = packet(self.flux, place.pair)
+        return [
+            (number, end, place.weight * place.fraction(end) * fluxes[2 * number + end])
+            for number in range(self.n_hemispheres)
+            for end in range(2)
+            if enabled[number]
+        ]
 
     # -------------------------------------------------------------- transported points
 
     def carried(
         self, wi: mi.Vector3f, point: mi.Point2f, hemisphere: int
-    ) -> list[tuple[mi.UInt32, mi.Float64, mi.Vector3f]]:
+    ) -> list[tuple[mi.UInt32, mi.Float, mi.Vector3f]]:
         """Where points of the records' lobes are for other incident directions.
 
         Parameters
@@ -177,7 +185,7 @@ class InterpolatedBSDF:
         wo = mi.Vector3f(point.x, point.y, height)
         parts = []
         for place in self.incident.around(wi, frame):
-            start = seen_from(wo, turn_by(self.incident.measured(place.azimuth)))
+            start = seen_from(wo, turn_by(place.turns * (2 * dr.pi)))
             for end, row in enumerate(place.rows):
                 moved = self.lobes.moved(place, number, start, end)
                 fraction = place.weight * place.fraction(end)
@@ -196,19 +204,18 @@ class InterpolatedBSDF:
         choices = [
             (place, end, number, flux)
             for place in self.incident.around(wi, frame)
-            for number in self._hemispheres(enabled)
-            for end, flux in enumerate(self._fluxes(place, number))
+            for number, end, flux in self._fluxes(place, enabled)
         ]
         if not choices:
             return mi.Vector3f(0)
-        left = mi.Float64(sample1) * sum(flux for *_, flux in choices)
-        azimuth = low = high = hemisphere = mi.UInt32(0)
+        left = sample1 * sum(flux for *_, flux in choices)
+        low = high = hemisphere = mi.UInt32(0)
         end = mi.Bool(False)
-        cos, sin = mi.Float64(1), mi.Float64(0)
+        turns, cos, sin = mi.Float(0), mi.Float(1), mi.Float(0)
         for place, own_end, number, flux in choices:
             # one without light is never picked, however `left` is rounded
             this = (left >= 0) & (flux > 0)
-            azimuth = dr.select(this, place.azimuth, azimuth)
+            turns = dr.select(this, place.turns, turns)
             low = dr.select(this, place.rows[0], low)
             high = dr.select(this, place.rows[1], high)
             hemisphere = dr.select(this, number, hemisphere)
@@ -217,9 +224,7 @@ class InterpolatedBSDF:
             sin = dr.select(this, place.past.sin, sin)
             left -= flux
         first = choices[0][0]  # both have the same polar angle
-        rows = low, high
-        past, same = Turn(cos, sin), (first.z_i, first.ends)
-        place = Place(1, azimuth, first.segment, rows, first.t, past, *same)
+        place = replace(first, turns=turns, rows=(low, high), past=Turn(cos, sin))
         point = self.lobes.drawn(place, hemisphere, end, sample2)
         return towards(point, frame, hemisphere == 0)
 

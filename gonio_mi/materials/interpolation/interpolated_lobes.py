@@ -4,71 +4,78 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ...array_types import Singles
 from .half_vectors import is_redirected, redirected
-from .lobes import Drawing, LobeTable, mean_lobes, transport_pieces
+from .lobes import LobeTable, transport_pieces
 from .lookups import (
+    TINY,
     Bins,
     IncidentPatches,
     IncidentPlaces,
     Place,
+    SearchTree,
     Turn,
     Vector,
-    between,
-    doubles,
-    last,
-    quantile,
-    read,
+    height,
+    heights,
+    packet,
     selected,
+    singles,
     tilted,
 )
 
 
-@dataclass(frozen=True)
 class _Pieces:
     """Pieces of one coordinate, which points of a segment move with.
 
-    Where they begin, and how wide they are per flux: pairs, of both ends of a segment.
+    Parameters
+    ----------
+    pieces : ndarray, shape (..., n, 4)
+        Where they begin on both ends of a segment, and how wide they are per flux.
     """
 
-    begins: mi.Float
-    slopes: mi.Float
-    n: int  # of each row
+    def __init__(self, pieces: Singles) -> None:
+        self.n = pieces.shape[-2]
+        rows = pieces.reshape(-1, self.n, 4)
+        self.packets = singles(pieces)
+        self.tree = SearchTree(*np.moveaxis(rows[:, 1:, :2], -1, 0))
 
-    def find(
-        self, row: mi.UInt32, coordinate: mi.Float64, start: mi.Float64
-    ) -> tuple[mi.UInt32, mi.Float64, mi.Float64]:
-        """The piece of a row on which a point is at `start` of the segment.
+    def find(self, row: mi.UInt32, coordinate: mi.Float, start: mi.Float) -> _OnPiece:
+        """The piece of a row on which a point is at `start` of the segment."""
+        index = row * self.n + self.tree.find(row, coordinate, start)
+        piece = packet(self.packets, index)
+        begin, slope = _mixed(piece, start)
+        return _OnPiece(index, piece, begin, slope, (coordinate - begin) / slope)
 
-        Its number, the light up to the point, and its width per light.
-        """
-        first = row * self.n
-        piece = last(
-            self.n, lambda i: self._at(self.begins, first + i, start) <= coordinate
-        )
-        index = first + piece
-        slope = self._at(self.slopes, index, start)
-        fraction = (coordinate - self._at(self.begins, index, start)) / slope
-        return index, fraction, slope
 
-    def moved(
-        self, on: tuple[mi.UInt32, mi.Float64, mi.Float64], to: mi.Float64
-    ) -> tuple[mi.Float64, mi.Float64]:
-        """Coordinate of the point at `to` of the segment, and its piece's stretch."""
-        index, fraction, before = on
-        slope = self._at(self.slopes, index, to)
-        return self._at(self.begins, index, to) + fraction * slope, slope / before
+@dataclass(frozen=True)
+class _OnPiece:
+    """A point on a piece of a row, at one place of the segment."""
 
-    @staticmethod
-    def _at(pairs: mi.Float, index: mi.UInt32, t: mi.Float64 | int) -> mi.Float64:
-        low, high = map(mi.Float64, dr.gather(mi.Point2f, pairs, index))
-        if isinstance(t, int):
-            return high if t else low
-        return (1 - t) * low + t * high
+    index: mi.UInt32  # of the piece, in all rows
+    piece: mi.Vector4f
+    begin: mi.Float
+    slope: mi.Float
+    light: mi.Float  # from the beginning of the piece to the point
+
+    def moved(self, to: mi.Float | int) -> tuple[mi.Float, mi.Float]:
+        """By how much the point moves to `to` of the segment, and its stretch."""
+        begin, slope = _mixed(self.piece, to)
+        by = begin - self.begin + self.light * (slope - self.slope)
+        return by, slope / self.slope
+
+
+def _mixed(piece: mi.Vector4f, t: mi.Float | int) -> tuple[mi.Float, mi.Float]:
+    """Where a piece begins at `t` of the segment, and its width per flux."""
+    if isinstance(t, int):
+        return piece[t], piece[2 + t]
+    return piece.x + t * (piece.y - piece.x), piece.z + t * (piece.w - piece.z)
 
 
 class QuantileTransport:
@@ -84,11 +91,8 @@ class QuantileTransport:
 
     def __init__(self, table: LobeTable) -> None:
         pieces = transport_pieces(table.brdf[0], table.patches, table.grid.phi_i[0])
-        self.n_hemispheres, n = pieces[0].shape[1:3]
-        rows = (mi.Float(pairs.ravel()) for pairs in pieces)
-        strips, strip_slopes, cells, cell_slopes = rows
-        self.strips = _Pieces(strips, strip_slopes, n)
-        self.cells = _Pieces(cells, cell_slopes, n)
+        self.n_hemispheres = table.brdf.shape[2]
+        self.strips, self.cells = map(_Pieces, pieces)
 
     def moved_where(
         self,
@@ -96,19 +100,19 @@ class QuantileTransport:
         place: Place,
         hemisphere: mi.UInt32,
         point: Vector,
-        start: mi.Float64,
-        ends: Sequence[mi.Float64 | int],
-    ) -> list[tuple[Vector, mi.Float64]]:
+        start: mi.Float,
+        ends: Sequence[mi.Float | int],
+    ) -> list[tuple[Vector, mi.Float]]:
         """As :meth:`moved`; where no lane of a vector is active, nothing is sought."""
         active = active & (point[0] <= 2) & (place.t >= 0) & (hemisphere < 2)
 
-        def sought(*point: mi.Float64) -> list[tuple[Vector, mi.Float64]]:
+        def sought(*point: mi.Float) -> list[tuple[Vector, mi.Float]]:
             return self.moved(place, hemisphere, list(point), start, ends)
 
-        def unmoved(*point: mi.Float64) -> list[tuple[Vector, mi.Float64]]:
-            return [(list(point), mi.Float64(1)) for _ in ends]
+        def unmoved(*point: mi.Float) -> list[tuple[Vector, mi.Float]]:
+            return [(list(point), mi.Float(1)) for _ in ends]
 
-        found: list[tuple[Vector, mi.Float64]]
+        found: list[tuple[Vector, mi.Float]]
         found = dr.if_stmt(tuple(point), active, sought, unmoved)
         return found
 
@@ -117,29 +121,30 @@ class QuantileTransport:
         place: Place,
         hemisphere: mi.UInt32,
         point: Vector,
-        start: mi.Float64,
-        ends: Sequence[mi.Float64 | int],
-    ) -> list[tuple[Vector, mi.Float64]]:
+        start: mi.Float,
+        ends: Sequence[mi.Float | int],
+    ) -> list[tuple[Vector, mi.Float]]:
         """Where a point at `start` of the segment is at each of `ends`.
 
         Each with the stretch of areas.
         """
         x, y, z = point
         across2 = y * y + z * z
-        v = dr.select(across2 > 0, y * dr.rsqrt(across2), 0)
+        per_across = dr.rsqrt(dr.maximum(across2, TINY))
+        v, depth2 = y * per_across, dr.square(z * per_across)
         row = place.segment * self.n_hemispheres + hemisphere
         strip = self.strips.find(row, dr.clip(x, -1, 1), start)
-        cell = self.cells.find(strip[0], dr.clip(v, -1, 1), start)
+        cell = self.cells.find(strip.index, dr.clip(v, -1, 1), start)
         found = []
         for to in ends:
-            x, stretch_x = self.strips.moved(strip, to)
-            v, stretch_v = self.cells.moved(cell, to)
-            x, v = dr.clip(x, -1, 1), dr.clip(v, -1, 1)
-            across = dr.sqrt(1 - x * x)
-            moved = [x, v * across, across * dr.sqrt(1 - v * v)]
+            # by differences: what does not move stays, to the last digit
+            by_x, stretch_x = strip.moved(to)
+            by_v, stretch_v = cell.moved(to)
+            across = dr.safe_sqrt(across2 - by_x * (2 * x + by_x))
+            depth = dr.safe_sqrt(depth2 - by_v * (2 * v + by_v))
+            moved = [x + by_x, (v + by_v) * across, across * depth]
             # of y / v, at the new point and at the old one
-            wider = across * dr.rsqrt(dr.maximum(across2, 2.0**-60))
-            found.append((moved, stretch_x * stretch_v * wider))
+            found.append((moved, stretch_x * stretch_v * across * per_across))
         return found
 
 
@@ -185,7 +190,7 @@ class HalfVectorTransport:
             own = of_angle.get(number)
             eta = own.eta if own else with_azimuth[number]
             # an index that is no constant of the kernel: another one compiles nothing
-            index = eta and dr.opaque(mi.Float64, eta)
+            index = eta and dr.opaque(mi.Float, eta)
             self.hemispheres.append((number, index, own))
         self.segments = {
             one.hemisphere: mi.Bool(list(one.segments)) for one in half_vectors
@@ -200,13 +205,13 @@ class HalfVectorTransport:
 
     def came_from(
         self, place: Place, end: int, hemisphere: mi.UInt32, point: Vector
-    ) -> tuple[Vector, mi.Float64, mi.Bool]:
+    ) -> tuple[Vector, mi.Float, mi.Bool]:
         """Where light that is sent to a point is in a record's lobe.
 
         `end` is that of the segment where the record is. With the stretch of areas,
         and whether any is sent there.
         """
-        source, stretch, comes = point, mi.Float64(1), mi.Bool(True)
+        source, stretch, comes = point, mi.Float(1), mi.Bool(True)
         for this, before, after, past, eta in self._motions(place, end, hemisphere):
             light = past.back().of(after)
             came, scale, valid = redirected(point, before, light, eta, dr)
@@ -232,31 +237,32 @@ class HalfVectorTransport:
 
     def _motions(
         self, place: Place, end: int | mi.Bool, hemisphere: mi.UInt32
-    ) -> Iterator[tuple[mi.Bool, Vector, Vector, Turn, mi.Float64 | None]]:
+    ) -> Iterator[tuple[mi.Bool, Vector, Vector, Turn, mi.Float | None]]:
         """Where light of a hemisphere moves: from and to which incident light.
 
         The latter in the record's frame, which is turned from that of incidence.
         """
-        none = Turn(mi.Float64(1), mi.Float64(0))
+        none = Turn(mi.Float(1), mi.Float(0))
         low, high = place.ends
-        z = place.ends[end] if isinstance(end, int) else dr.select(end, high, low)
+        ends = place.ends[end] if isinstance(end, int) else selected(end, high, low)
         for number, eta, own in self.hemispheres:
-            this, to = hemisphere == number, z
+            this, to = hemisphere == number, ends
             if own is None:
-                to = place.z_i
+                to = place.incident
             elif not all(own.segments):
                 moves = dr.gather(mi.Bool, self.segments[number], place.segment)
-                to = dr.select(moves, z, place.z_i)
+                to = selected(moves, ends, place.incident)
                 if number not in self.with_azimuth:
                     this &= moves
             past = place.past if number in self.with_azimuth else none
-            yield this, place.incident(), place.incident(to), past, eta
+            yield this, place.incident, to, past, eta
 
 
 class LobeArrays:
     """Lobes as measured, one for each row: azimuth, polar angle and hemisphere.
 
-    Points of the disk are in the frame of incidence, whose azimuth is that of the row.
+    Points of the disk are in the frame of incidence, whose azimuth is that of the row,
+    in turns.
 
     Parameters
     ----------
@@ -265,72 +271,81 @@ class LobeArrays:
 
     def __init__(self, table: LobeTable) -> None:
         *_, self.n_theta, self.n_phi, self.n_channels = table.brdf.shape
-        channels = range(self.n_channels)
-        theta, phi = table.patches.theta_edges, table.patches.phi_edges
-        sin2 = np.array([*np.sin(theta[:-1]) ** 2, 1])
-        self.rings, self.sectors = (
-            Bins(sin2, theta * (2 / np.pi)),
-            Bins(phi, phi / phi[-1]),
+        theta, turns = table.patches.theta_edges, table.patches.phi_edges / (2 * np.pi)
+        theta = np.array([*theta[:-1], np.pi / 2])
+        self.rings, self.sectors = Bins(heights(theta)), Bins(turns)
+        sin2, cos2 = np.sin(theta) ** 2, np.cos(theta) ** 2
+        width = np.where(theta[1:] < 1, np.diff(sin2), -np.diff(cos2))
+        numbers = [sin2[:-1], cos2[1:], width, 1 / width]
+        self.ring_edges = singles(np.stack(numbers, axis=-1))
+        self.sector_edges = singles(np.stack([turns[:-1], np.diff(turns)], axis=-1))
+        self.cells, self.n_packets = singles(table.cells), table.cells.shape[-1] // 4
+        self._table: LobeTable | None = table
+
+    @cached_property
+    def drawing(self) -> tuple[SearchTree, SearchTree]:
+        """Fractions of the flux below edges of rings, and of sectors in each ring."""
+        rings, sectors = (
+            SearchTree(cumulative.reshape(-1, cumulative.shape[-1])[:, 1:])
+            for cumulative in self._table.cumulative()
         )
-        self.brdf = [doubles(table.brdf[..., channel]) for channel in channels]
-        self.gradients = [
-            [doubles(along[..., channel]) for channel in channels]
-            for along in table.gradients
-        ]
-        self.means = self.brdf[0]
-        self.mean_gradients = [along[0] for along in self.gradients]
-        if self.n_channels > 1:
-            self.means = doubles(mean_lobes(table.brdf))
-            self.mean_gradients = [doubles(mean_lobes(g)) for g in table.gradients]
-        self.drawing = Drawing(*map(doubles, table.drawing))
+        return rings, sectors
 
     def values(
-        self, row: mi.UInt32, phi_i: mi.Float64, point: Vector, active: mi.Bool
-    ) -> list[mi.Float64]:
+        self, row: mi.UInt32, turns: mi.Float, point: Vector, active: mi.Bool
+    ) -> list[mi.Float]:
         """BRDF of each channel at a point, 0 where not active."""
         x, y, z = point
+        ring = self.rings.find(height(point))
+        sin2, cos2, _, per_width = packet(self.ring_edges, ring)
         # whichever of sine and cosine keeps its precision
-        sin2, z2 = x * x + y * y, z * z
-        sin2 = dr.select(z2 < 0.5, 1 - z2, sin2)
-        theta = dr.asin(dr.minimum(dr.sqrt(mi.Float(sin2)), 1))
-        ring, off_ring = self.rings.find(sin2, theta * (2 * dr.inv_pi))
-        turns = (dr.atan2(y, x) + phi_i) * (0.5 / dr.pi)
+        past, left = x * x + y * y - sin2, z * z - cos2
+        in_ring = dr.select(z * z < 0.5, 1 - left * per_width, past * per_width)
+        turns = dr.atan2(y, x) * dr.inv_two_pi + turns
         turns -= dr.floor(turns)
-        sector, off_sector = self.sectors.find(turns * (2 * dr.pi), mi.Float(turns))
+        sector, in_sector = self._sector(turns)
         index = (row * self.n_theta + ring) * self.n_phi + sector
-        values = []
-        for channel, brdf in enumerate(self.brdf):
-            value = read(brdf, index, active)
-            for gradient, coordinate in zip(self.gradients, (off_ring, off_sector)):
-                value += coordinate * read(gradient[channel], index, active)
-            values.append(value)
-        return values
+        off_ring, off_sector = (dr.clip(a, 0, 1) - 0.5 for a in (in_ring, in_sector))
+        numbers = self._numbers(index, active)
+        if self.n_channels > 1:
+            numbers = numbers[3:]
+        return [
+            numbers[n] + off_ring * numbers[n + 1] + off_sector * numbers[n + 2]
+            for n in range(0, 3 * self.n_channels, 3)
+        ]
 
-    def drawn(self, row: mi.UInt32, phi_i: mi.Float64, sample2: mi.Point2f) -> Vector:
+    def _sector(self, turns: mi.Float) -> tuple[mi.UInt32, mi.Float]:
+        """Sector of an azimuth, and how far in it."""
+        sector = self.sectors.find(turns)
+        if self.sectors.is_even:
+            return sector, turns * self.n_phi - mi.Float(sector)
+        begin, width = dr.gather(mi.Point2f, self.sector_edges, sector)
+        return sector, (turns - begin) / width
+
+    def _numbers(self, index: mi.UInt32, active: mi.Bool) -> list[mi.Float]:
+        """All that is known of a patch, 0 where not active."""
+        first, each = index * self.n_packets, range(self.n_packets)
+        return [a for n in each for a in packet(self.cells, first + n, active)]
+
+    def drawn(self, row: mi.UInt32, turns: mi.Float, sample2: mi.Point2f) -> Vector:
         """Point of a lobe."""
-        rings, sectors, tilts, sector_tilts = self.drawing
-        ring, fraction = quantile(
-            lambda i: read(rings, row * (self.n_theta + 1) + i),
-            self.n_theta,
-            mi.Float64(sample2.x),
-        )
+        rings, sectors = self.drawing
+        ring, fraction = rings.quantile(row, sample2.x)
         own = row * self.n_theta + ring
-        tilt = read(tilts, own)
-        off = tilted(fraction, tilt) - 0.5
-        first = own * (self.n_phi + 1)
-        sector, fraction = quantile(
-            lambda i: read(sectors, first + i) + off * read(sector_tilts, first + i),
-            self.n_phi,
-            mi.Float64(sample2.y) * (1 + off * tilt),
+        sector, past = sectors.quantile(own, sample2.y)
+        index = own * self.n_phi + sector
+        mean, along, around, _ = packet(self.cells, index * self.n_packets)
+        fraction = tilted(fraction, dr.select(mean > 0, along / mean, 0))
+        mean += (fraction - 0.5) * along
+        past = tilted(past, dr.select(mean > 0, around / mean, 0))
+        sin2, cos2, width, _ = packet(self.ring_edges, ring)
+        sine, z = (
+            dr.sqrt(sin2 + fraction * width),
+            dr.sqrt(cos2 + (1 - fraction) * width),
         )
-        patch = own * self.n_phi + sector
-        along, around = (read(array, patch) for array in self.mean_gradients)
-        mean = read(self.means, patch) + off * along
-        past = tilted(fraction, dr.select(mean > 0, around / mean, 0))
-        sin2 = between(self.rings.edges, ring, off + 0.5)
-        sin, cos = dr.sincos(between(self.sectors.edges, sector, past) - phi_i)
-        sine = dr.sqrt(sin2)
-        return [sine * cos, sine * sin, dr.safe_sqrt(1 - sin2)]
+        begin, width = dr.gather(mi.Point2f, self.sector_edges, sector)
+        sin, cos = dr.sincos((begin + past * width - turns) * (2 * dr.pi))
+        return [sine * cos, sine * sin, z]
 
 
 class InterpolatedLobes:
@@ -382,19 +397,18 @@ class InterpolatedLobes:
 
     def values(
         self, place: Place, hemisphere: mi.UInt32, point: Vector, active: mi.Bool
-    ) -> list[mi.Float64]:
+    ) -> list[mi.Float]:
         """BRDF in 1/sr of each channel, of one azimuth's lobes; 0 where not active.
 
         What micro-normals of both ends of the segment send, and what stays; or what
         moves by quantiles.
         """
-        values = [mi.Float64(0)] * self.n_channels
+        values = [mi.Float(0)] * self.n_channels
         others, by_quantiles = [], mi.Bool(False)
         if self.quantiles is not None:
             by_quantiles = active & ~self.normals.move(place, hemisphere)
             at = place, hemisphere, point, place.t
             others = self.quantiles.moved_where(by_quantiles, *at, (0, 1))
-        phi_i = self.incident.measured(place.azimuth)
         for end, row in enumerate(place.rows):
             row = row * self.n_hemispheres + hemisphere
             way = place, end, hemisphere, point
@@ -402,28 +416,28 @@ class InterpolatedLobes:
             if others:
                 source = selected(by_quantiles, others[end][0], source)
                 stretch = dr.select(by_quantiles, others[end][1], stretch)
-            own = self.measured.values(row, phi_i, source, active & comes)
+            own = self.measured.values(row, place.turns, source, active & comes)
             own = [stretch * one for one in own]
             if self.normals.hemispheres:
                 _, leaves = self.normals.goes_to(*way)
-                stays = self._seldom(row, phi_i, point, active & ~leaves)
+                stays = self._seldom(row, place.turns, point, active & ~leaves)
                 own = [a + b for a, b in zip(own, stays)]
             fraction = place.fraction(end)
             values = [a + fraction * b for a, b in zip(values, own)]
         return values
 
     def _seldom(
-        self, row: mi.UInt32, phi_i: mi.Float64, point: Vector, active: mi.Bool
-    ) -> list[mi.Float64]:
+        self, row: mi.UInt32, turns: mi.Float, point: Vector, active: mi.Bool
+    ) -> list[mi.Float]:
         """Values of few lanes: all others skip them, which halves the time."""
 
-        def looked_up(x: mi.Float64, y: mi.Float64, z: mi.Float64) -> list[mi.Float64]:
-            return self.measured.values(row, phi_i, [x, y, z], active)
+        def looked_up(x: mi.Float, y: mi.Float, z: mi.Float) -> list[mi.Float]:
+            return self.measured.values(row, turns, [x, y, z], active)
 
-        def nothing(*_: mi.Float64) -> list[mi.Float64]:
-            return [mi.Float64(0)] * self.n_channels
+        def nothing(*_: mi.Float) -> list[mi.Float]:
+            return [mi.Float(0)] * self.n_channels
 
-        found: list[mi.Float64] = dr.if_stmt(tuple(point), active, looked_up, nothing)
+        found: list[mi.Float] = dr.if_stmt(tuple(point), active, looked_up, nothing)
         return found
 
     def drawn(
@@ -432,8 +446,7 @@ class InterpolatedLobes:
         """Point of the lobe at an end of a segment, where it is for incident light."""
         row = dr.select(end, place.rows[1], place.rows[0])
         row = row * self.n_hemispheres + hemisphere
-        phi_i = self.incident.measured(place.azimuth)
-        point = self.measured.drawn(row, phi_i, sample2)
+        point = self.measured.drawn(row, place.turns, sample2)
         return self.moved(place, hemisphere, point, end)
 
     def moved(
@@ -443,7 +456,7 @@ class InterpolatedLobes:
         sent, _ = self.normals.goes_to(place, end, hemisphere, point)
         if self.quantiles is None:
             return sent
-        start = dr.select(mi.Bool(end), mi.Float64(1), 0)
+        start = dr.select(mi.Bool(end), mi.Float(1), 0)
         others = ~self.normals.move(place, hemisphere) & (start >= 0)
         at = place, hemisphere, point, start
         ((moved, _),) = self.quantiles.moved_where(others, *at, [place.t])

@@ -22,12 +22,11 @@ import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...array_types import Floats, Integers, Numbers
+from ...array_types import Floats, Integers, Singles
 from ...collector import RingsAndSectors
 from ...errors import SettingError, check_memory
 from ...results.patch_means import PatchMeans
@@ -46,7 +45,7 @@ EVEN_FRACTION = 0.01
 
 def transport_pieces(
     brdf: Floats, patches: RingsAndSectors, phi_i: float
-) -> list[Numbers]:
+) -> tuple[Singles, Singles]:
     """Maps of points between the polar angles of the lobes of an azimuth.
 
     A *segment* leads from one polar angle to the next; there are ``K = N - 1``.
@@ -56,25 +55,21 @@ def transport_pieces(
 
     Returns
     -------
-    strips, strip_slopes : ndarray of float32, shape (K, H, S, 2)
-        Where a strip begins, and its width per fraction of the flux, on both ends of
-        the segment.
-    cells, cell_slopes : ndarray of float32, shape (K, H, S, S, 2)
+    strips : ndarray of float32, shape (K, H, S, 4)
+        Where a strip begins on both ends of the segment, and its widths there per
+        fraction of the flux.
+    cells : ndarray of float32, shape (K, H, S, S, 4)
         The same across a strip.
     """
     n_angles, n_hemispheres = brdf.shape[:2]
     shape = n_angles - 1, n_hemispheres, 2 * N_CELLS - 1
-    # both ends side by side, in the memory of one number of double precision
-    arrays = [
-        aligned((*shape, *more, 1)).view(np.float32)
-        for more in ((), (), shape[-1:], shape[-1:])
-    ]
+    strips, cells = aligned((*shape, 4)), aligned((*shape, shape[-1], 4))
     histograms = _histograms(brdf, patches, np.radians(phi_i))
     for segment, hemisphere in np.ndindex(shape[:2]):
         found = _segment(*histograms[segment : segment + 2, hemisphere])
-        for array, own in zip(arrays, found):
-            array[segment, hemisphere] = np.moveaxis(own, 0, -1)
-    return arrays
+        for array, own in zip((strips, cells), (found[:2], found[2:])):
+            array[segment, hemisphere] = np.moveaxis(np.concatenate(own), 0, -1)
+    return strips, cells
 
 
 def _histograms(brdf: Floats, patches: RingsAndSectors, phi_i: float) -> Floats:
@@ -182,8 +177,8 @@ class LobeTable:
         Of absolute azimuth.
     brdf : ndarray, shape (P, N, H, n_theta, n_phi, channels)
         Patch means of BRDF and BTDF in 1/sr, in ``H`` hemispheres.
-    gradients : pair of ndarray, shape of `brdf`
-        Their changes across each patch; see :func:`.half_vectors.gradients`.
+    cells : ndarray of float32, shape (P, N, H, n_theta, n_phi, numbers)
+        All that is looked up in a patch; see :func:`packed_cells`.
     flux : ndarray, shape (P, N, H, channels)
         Flux fractions: reflectance and transmittance.
     """
@@ -191,32 +186,51 @@ class LobeTable:
     grid: IncidentGrid
     patches: RingsAndSectors
     brdf: Floats
-    gradients: tuple[Floats, Floats]
+    cells: Singles
     flux: Floats
 
-    @property
-    def drawing(self) -> Drawing:
-        """By what points of the lobes are drawn."""
+    def cumulative(self) -> tuple[Floats, Singles]:
+        """Fractions of the flux (mean of the channels) by which points are drawn.
+
+        Below each edge of rings, shape ``(P, N, H, n_theta + 1)``, and within a ring
+        below each edge of azimuth, of float32, ``(P, N, H, n_theta, n_phi + 1)``.
+        """
         *lobes, n_theta, n_phi, _ = self.brdf.shape
         areas = self.patches.projected_solid_angles
         totals = np.empty((*lobes, n_theta))
-        sectors, sector_tilts = (
-            aligned((*lobes, n_theta, n_phi + 1, 1))[..., 0] for _ in range(2)
-        )
+        sectors = np.empty((*lobes, n_theta, n_phi + 1), np.float32)
         for lobe in np.ndindex(*lobes):
             weight = mean_lobe(self.brdf[lobe]) * areas
-            totals[lobe] = total = weight.sum(axis=-1)
+            totals[lobe] = weight.sum(axis=-1)
             sectors[lobe] = cumulative(weight)
-            tilts = mean_lobe(self.gradients[0][lobe])
-            tilts *= areas
-            tilts /= np.where(total > 0, total, 1)[..., None]
-            np.cumsum(tilts, axis=-1, out=sector_tilts[(*lobe, ..., slice(1, None))])
-        return Drawing(
-            rings=cumulative(totals),
-            sectors=sectors,
-            tilts=sector_tilts[..., -1],
-            sector_tilts=sector_tilts,
-        )
+        return cumulative(totals), sectors
+
+
+def n_numbers(n_channels: int) -> int:
+    """How many numbers of a patch are looked up: whole packets of four."""
+    n_lobes = n_channels + (n_channels > 1)
+    return -(-3 * n_lobes // 4) * 4
+
+
+def packed_cells(lobe: Floats, changes: Floats) -> Floats:
+    """All that is looked up in each patch of a lobe, side by side.
+
+    Of the mean of the channels, and then of each of them if there are several, its mean
+    over the patch and its changes across it, along the polar angle and the azimuth.
+
+    Parameters
+    ----------
+    lobe : ndarray, shape (n_theta, n_phi, channels)
+    changes : ndarray, shape (2, n_theta, n_phi, channels)
+        See :func:`.half_vectors.gradients`.
+    """
+    numbers = np.stack([lobe, *changes], axis=-1)
+    if lobe.shape[-1] > 1:
+        mean = numbers.mean(axis=-2, keepdims=True)
+        numbers = np.concatenate([mean, numbers], axis=-2)
+    flat = numbers.reshape(*lobe.shape[:2], -1)
+    unused = n_numbers(lobe.shape[-1]) - flat.shape[-1]
+    return np.pad(flat, ((0, 0), (0, 0), (0, unused)))
 
 
 class MeasuredLobes:
@@ -286,20 +300,19 @@ class MeasuredLobes:
     def table(self, azimuths: Sequence[int], angles: Sequence[int]) -> LobeTable:
         """Table of some azimuths and polar angles, as if no others were known."""
         brdf, rings = self.brdf(azimuths, angles), self.patches
-        changes = aligned(brdf.shape), aligned(brdf.shape)
-        flux = np.empty((*brdf.shape[:3], brdf.shape[-1]))
-        for lobe in np.ndindex(brdf.shape[:2]):  # by lobe: all at once need the memory
-            own = np.ascontiguousarray(brdf[lobe])
-            flux[lobe] = np.einsum("hrsc,rs->hc", own, rings.projected_solid_angles)
+        cells = aligned((*brdf.shape[:-1], n_numbers(brdf.shape[-1])))
+        flux = np.einsum("pnhrsc,rs->pnhc", brdf, rings.projected_solid_angles)
+        for lobe in np.ndindex(brdf.shape[:3]):  # by lobe: all at once need the memory
+            changes = np.zeros((2, *brdf.shape[3:]))
             if rings == self.measured:  # else what is below them has no rings
-                found = gradients(own, rings.theta_edges, rings.phi_edges)
-                changes[0][lobe], changes[1][lobe] = found
+                changes = gradients(brdf[lobe], rings.theta_edges, rings.phi_edges)
+            cells[lobe] = packed_cells(brdf[lobe], changes)
         part = self.grid.part(azimuths, angles)
-        return LobeTable(part, rings, brdf, changes, flux)
+        return LobeTable(part, rings, brdf, cells, flux)
 
     def brdf(self, azimuths: Sequence[int], angles: Sequence[int]) -> Floats:
         """BRDF and BTDF in 1/sr, shape ``(P, N, H, n_theta, n_phi, channels)``."""
-        brdf = aligned((len(azimuths), len(angles), *self._shape))
+        brdf = np.empty((len(azimuths), len(angles), *self._shape))
         areas = self.measured.projected_solid_angles[..., None]
         for column, angle in enumerate(angles):
             found = self.grid.filled(self.flux, azimuths, [angle])
@@ -311,41 +324,17 @@ class MeasuredLobes:
         return brdf
 
 
-class Drawing(NamedTuple):
-    """Cumulative distributions of the flux of a table's lobes.
+def aligned(shape: tuple[int, ...]) -> Singles:
+    """Zeros of single precision, in the place of Dr.Jit's arrays.
 
-    Attributes
-    ----------
-    rings : ndarray, shape (P, N, H, n_theta + 1)
-        Fraction of the flux (mean of the channels) below each edge.
-    sectors : ndarray, shape (P, N, H, n_theta, n_phi + 1)
-        The same for the azimuth within a ring.
-    tilts : ndarray, shape (P, N, H, n_theta)
-        Change of the flux across each ring, as a fraction of its flux.
-    sector_tilts : ndarray, shape (P, N, H, n_theta, n_phi + 1)
-        The same of all sectors below each edge of azimuth.
+    Dr.Jit takes NumPy's memory as it is: a table is not copied. A kernel that reads
+    from a place that is no multiple of 64 bytes is another one: another record would be
+    compiled anew, by chance.
     """
-
-    rings: Floats
-    sectors: Floats
-    tilts: Floats
-    sector_tilts: Floats
-
-
-def aligned(shape: tuple[int, ...]) -> Floats:
-    """Zeros, of which each channel, the last axis, is in the place of Dr.Jit's arrays.
-
-    Dr.Jit takes NumPy's memory as it is: a table is not copied, as long as its channels
-    are in one row each. A kernel that reads from a place that is no multiple of 64
-    bytes is another one: another record would be compiled anew, by chance.
-    """
-    *axes, n_channels = shape
-    n = math.prod(axes)
-    row = -(-n // 8) * 8
-    memory = np.zeros(n_channels * row + 7)
-    start = -memory.ctypes.data % 64 // 8
-    rows = memory[start:][: n_channels * row].reshape(n_channels, row)[:, :n]
-    return np.moveaxis(rows.reshape(n_channels, *axes), 0, -1)
+    n = math.prod(shape)
+    memory = np.zeros(n + 15, np.float32)
+    start = -memory.ctypes.data % 64 // 4
+    return memory[start:][:n].reshape(shape)
 
 
 def mean_lobe(lobe: Floats) -> Floats:
@@ -354,21 +343,13 @@ def mean_lobe(lobe: Floats) -> Floats:
     return mean
 
 
-def mean_lobes(lobes: Floats) -> Floats:
-    """Mean of the channels of each lobe of a table."""
-    means = aligned((*lobes.shape[:-1], 1))[..., 0]
-    for lobe in np.ndindex(lobes.shape[:2]):
-        means[lobe] = mean_lobe(lobes[lobe])
-    return means
-
-
 def is_significant(part: float, total: float) -> bool:
     """Whether double precision distinguishes a part of the total from none."""
     return bool(part > np.finfo(float).eps * total)
 
 
 def check_table(n_azimuths: int, n_angles: int, lobes: tuple[int, ...]) -> float:
-    """Bytes that the table of so many directions needs as Dr.Jit holds it.
+    """Bytes that the table of so many directions needs, with what Dr.Jit holds of it.
 
     Parameters
     ----------
@@ -382,10 +363,11 @@ def check_table(n_azimuths: int, n_angles: int, lobes: tuple[int, ...]) -> float
         If these are more than any table may have.
     """
     n_hemispheres, *patches, n_channels = lobes
-    means = 3 if n_channels > 1 else 0
-    each = 8 * n_hemispheres * math.prod(patches) * (3 * n_channels + means + 2)
+    # means in double precision; packets, and fractions of the flux with their index
+    of_patch = 8 * n_channels + 4 * (n_numbers(n_channels) + 2)
+    each = n_hemispheres * math.prod(patches) * of_patch
     if n_azimuths == 1:
-        each += 16 * n_hemispheres * (2 * N_CELLS) ** 2
+        each += 28 * n_hemispheres * (2 * N_CELLS) ** 2
     n_bytes = n_azimuths * n_angles * each
     if n_bytes > MAX_BYTES:
         raise TooLargeError(

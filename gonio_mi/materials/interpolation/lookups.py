@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,16 +12,20 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...array_types import Floats
+from ...array_types import Floats, Numbers, Singles
 from ...collector import Subdivision
 from ...transport.collector_sphere import DRJIT
 from .incident_grid import IncidentGrid
 from .lobes import aligned
 
-# Steps of a table of bins, at most about, and the part of a step by which what is known
-# roughly, in single precision, may be wrong.
-MAX_STEPS, MARGIN = 2**12, 1e-2
+# Steps of a table of bins, at most about.
+MAX_STEPS = 2**12
 
+# Numbers of a row that are compared at once, and one that is larger than any of them.
+N_AT_ONCE, BEYOND = 8, 2.0
+
+# Nothing is divided by less.
+TINY = 2.0**-60
 
 # Coordinates of a unit vector in the frame of incidence, whose light comes from +x; z
 # is the height above, or the depth below, the surface.
@@ -45,7 +49,7 @@ class Turn:
         return Turn(self.cos, -self.sin)
 
 
-def turn_by(angle: mi.Float64) -> Turn:
+def turn_by(angle: mi.Float) -> Turn:
     """Turn by an angle in radians."""
     sin, cos = dr.sincos(angle)
     return Turn(cos, sin)
@@ -53,9 +57,8 @@ def turn_by(angle: mi.Float64) -> Turn:
 
 def seen_from(wo: mi.Vector3f, frame: Turn) -> Vector:
     """Unit vector in the frame of incidence."""
-    x, y, z = (mi.Float64(component) for component in (wo.x, wo.y, wo.z))
-    norm = dr.rcp(dr.sqrt(x * x + y * y + z * z))
-    return frame.back().of([norm * x, norm * y, norm * dr.abs(z)])
+    x, y, z = dr.normalize(wo)
+    return frame.back().of([x, y, dr.abs(z)])
 
 
 def towards(v: Vector, frame: Turn, upper: mi.Bool) -> mi.Vector3f:
@@ -69,48 +72,27 @@ def selected(mask: mi.Bool, yes: Sequence[Any], no: Sequence[Any]) -> Vector:
     return [dr.select(mask, a, b) for a, b in zip(yes, no)]
 
 
-def doubles(values: ArrayLike) -> mi.Float64:
+def singles(values: ArrayLike) -> mi.Float:
     """Array of all values, in one row; what is :func:`.lobes.aligned` is not copied."""
     row = np.ravel(values)
-    if row.dtype != float or row.ctypes.data % 64 or not row.flags.writeable:
-        memory = aligned((len(row), 1))[:, 0]
+    if row.dtype != np.float32 or row.ctypes.data % 64 or not row.flags.writeable:
+        memory = aligned(row.shape)
         memory[:] = row
         row = memory
-    return mi.Float64(row)
+    return mi.Float(row)
 
 
-def read(array: mi.Float64, index: mi.UInt32, active: mi.Bool = True) -> mi.Float64:
+def read(array: mi.Float, index: mi.UInt32, active: mi.Bool = True) -> mi.Float:
     """Numbers of an array, 0 where not active."""
-    return dr.gather(mi.Float64, array, mi.UInt32(index), active)
+    return dr.gather(mi.Float, array, mi.UInt32(index), active)
 
 
-def last(n: int, begins: Callable[[mi.UInt32], mi.Bool]) -> mi.UInt32:
-    """Last of `n` ascending pieces that `begins`; the first always does."""
-    if n == 1:
-        return mi.UInt32(0)
-    return mi.UInt32(dr.binary_search(1, n, begins)) - 1
+def packet(array: mi.Float, index: mi.UInt32, active: mi.Bool = True) -> mi.Vector4f:
+    """Four numbers that lie side by side, 0 where not active."""
+    return dr.gather(mi.Vector4f, array, index, active)
 
 
-def between(edges: mi.Float64, number: mi.UInt32, part: mi.Float64) -> mi.Float64:
-    """Coordinate of the part of a bin."""
-    low, high = read(edges, number), read(edges, number + 1)
-    return low + part * (high - low)
-
-
-def quantile(
-    cumulative: Callable[[mi.UInt32], mi.Float64], n: int, fraction: mi.Float64
-) -> tuple[mi.UInt32, mi.Float64]:
-    """Bin in which the flux reaches a `fraction`, and how far on in the bin.
-
-    `cumulative` gives what is below each of the ``n + 1`` edges.
-    """
-    number = last(n, lambda i: cumulative(i) <= fraction)
-    low, high = cumulative(number), cumulative(number + 1)
-    inside = dr.select(high > low, (fraction - low) / (high - low), 0.5)
-    return number, dr.clip(inside, 0, 1)
-
-
-def tilted(fraction: mi.Float64, tilt: mi.Float64) -> mi.Float64:
+def tilted(fraction: mi.Float, tilt: mi.Float) -> mi.Float:
     """Coordinate below which `fraction` of a density is that is linear from 0 to 1.
 
     It changes by `tilt`, within 2, and is 1 in the middle.
@@ -121,69 +103,144 @@ def tilted(fraction: mi.Float64, tilt: mi.Float64) -> mi.Float64:
     return dr.select(root > 0, dr.clip(2 * fraction / root, 0, 1), fraction)
 
 
-class Bins:
-    """Bins of a coordinate, found without a search.
+def height(v: Vector) -> mi.Float:
+    """Coordinate of a direction between normal (0) and horizon (1).
 
-    A table of equal steps of another coordinate, which is known roughly, says from
-    which bin on to look; `n_next` more steps find it.
+    Without an arc function as even as the polar angle, within a factor of two, and as
+    precise on both ends.
+    """
+    x, y, z = v
+    sine = dr.sqrt(x * x + y * y)
+    return sine / (sine + z)
+
+
+def heights(theta: Floats) -> Floats:
+    """The same of polar angles in radians."""
+    sin, cos = np.sin(theta), np.cos(theta)
+    coordinate: Floats = sin / (sin + cos)
+    return coordinate
+
+
+class Bins:
+    """Bins of a coordinate from 0 to 1, found without a search.
+
+    A table of equal steps says in which bin each begins, and where that ends; few steps
+    need to look further.
 
     Parameters
     ----------
     edges : ndarray
-        Ascending.
-    rough : ndarray
-        The same, from 0 to 1, in the other coordinate.
+        Ascending, from 0 to 1.
     """
 
-    def __init__(self, edges: Floats, rough: Floats) -> None:
-        self.edges = doubles(edges)
+    def __init__(self, edges: Floats) -> None:
         self.n = len(edges) - 1
-        self.is_even = bool(np.allclose(np.diff(edges) * self.n, edges[-1]))
-        self.steps_per_unit = self.n / float(edges[-1])
-        narrowest = max(float(np.diff(rough).min()), 1 / MAX_STEPS)
-        steps = np.arange(2 * math.ceil(1 / narrowest))
-        ends = (
-            np.searchsorted(rough, (steps + past) / len(steps), side="right") - 1
-            for past in (-MARGIN, 1 + MARGIN)
-        )
-        low, high = (np.clip(end, 0, self.n - 1) for end in ends)
-        self.first, self.n_steps = mi.UInt32(low), len(steps)
-        self.n_next = int((high - low).max())
+        self.is_even = bool(np.allclose(np.diff(edges) * self.n, 1))
+        edges = edges.astype(np.float32)
+        narrowest = max(float(np.diff(edges).min()), 1 / MAX_STEPS)
+        self.n_steps = math.ceil(1 / narrowest)
+        steps = np.arange(self.n_steps + 1) / self.n_steps
+        first = np.searchsorted(edges, steps, side="right") - 1
+        first = np.clip(first, 0, self.n - 1)
+        ends = np.append(edges[1:-1], BEYOND)
+        self.ends = singles(ends)
+        self.steps = singles(np.stack([first, ends[first]], axis=-1)[:-1])
+        self.n_next = int(np.diff(first).max())
 
-    def find(self, value: mi.Float64, rough: mi.Float) -> tuple[mi.UInt32, mi.Float64]:
-        """Bin of a coordinate, and where in it, from -1/2 to 1/2."""
+    def find(self, coordinate: mi.Float) -> mi.UInt32:
+        """Bin of a coordinate."""
+        if self.n == 1:
+            return mi.UInt32(0)
         if self.is_even:
-            place = value * self.steps_per_unit
-            number = dr.minimum(mi.UInt32(place), self.n - 1)
-            return number, dr.clip(place - mi.Float64(number), 0, 1) - 0.5
-        step = dr.clip(mi.Int32(rough * self.n_steps), 0, self.n_steps - 1)
-        number = dr.gather(mi.UInt32, self.first, mi.UInt32(step))
-        for _ in range(self.n_next):
-            above = (number + 1 < self.n) & (read(self.edges, number + 1) <= value)
+            return dr.minimum(mi.UInt32(coordinate * self.n), self.n - 1)
+        step = dr.minimum(mi.UInt32(coordinate * self.n_steps), self.n_steps - 1)
+        first, end = dr.gather(mi.Point2f, self.steps, step)
+        number = mi.UInt32(first) + dr.select(coordinate >= end, mi.UInt32(1), 0)
+        for _ in range(1, self.n_next):
+            above = coordinate >= read(self.ends, number)
             number = dr.select(above, number + 1, number)
-        low, high = read(self.edges, number), read(self.edges, number + 1)
-        return number, dr.clip((value - low) / (high - low), 0, 1) - 0.5
+        return number
+
+
+class SearchTree:
+    """Rows of ascending numbers, in which places are found by eight numbers at once.
+
+    Of every eighth number of a row there is a row of its own, and so on, down to eight.
+
+    Parameters
+    ----------
+    *ends : ndarray, shape (rows, n)
+        Where the pieces of each row end, below 2; or two of them, between which the
+        wanted one is linear.
+    """
+
+    def __init__(self, *ends: Numbers) -> None:
+        self.n_ends, levels = len(ends), [_in_groups(ends)]
+        while (level := levels[0]).shape[1] > 1:
+            last = [level[:, :, number, -1] for number in range(self.n_ends)]
+            levels.insert(0, _in_groups(last))
+        self.n_groups = [level.shape[1] for level in levels]
+        self.arrays = [singles(level) for level in levels]
+
+    def find(self, row: mi.UInt32, value: mi.Float, t: Any = None) -> mi.UInt32:
+        """How many pieces of a row end at a value or below."""
+        number = mi.UInt32(0)
+        for n_groups, array in zip(self.n_groups, self.arrays):
+            first = (row * n_groups + number) * (2 * self.n_ends)
+            number = number * N_AT_ONCE
+            for half in range(2):
+                end = packet(array, first + half)
+                if t is not None:
+                    end += t * (packet(array, first + 2 + half) - end)
+                number += sum(dr.select(one <= value, mi.UInt32(1), 0) for one in end)
+        return number
+
+    def quantile(
+        self, row: mi.UInt32, fraction: mi.Float
+    ) -> tuple[mi.UInt32, mi.Float]:
+        """Bin in which the flux reaches a `fraction`, and how far on in the bin.
+
+        Rows are the flux below the upper edge of each bin, up to 1.
+        """
+        fraction = dr.minimum(fraction, dr.one_minus_epsilon(mi.Float))
+        number = self.find(row, fraction)
+        here = row * (self.n_groups[-1] * N_AT_ONCE) + number
+        low = read(self.arrays[-1], here - 1, number > 0)
+        high = read(self.arrays[-1], here)
+        inside = dr.select(high > low, (fraction - low) / (high - low), 0.5)
+        return number, dr.clip(inside, 0, 1)
+
+
+def _in_groups(ends: Sequence[Numbers]) -> Singles:
+    """Rows in groups of eight numbers, shape ``(rows, groups, ends, 8)``."""
+    n_rows, n = ends[0].shape
+    whole, rest = divmod(n, N_AT_ONCE)
+    n_groups = max(whole + (rest > 0), 1)
+    groups = aligned((n_rows, n_groups, len(ends), N_AT_ONCE))
+    groups[:, whole:] = BEYOND
+    for number, own in enumerate(ends):
+        full = own[:, : n - rest].reshape(n_rows, whole, N_AT_ONCE)
+        groups[:, :whole, number] = full
+        if rest:
+            groups[:, whole, number, :rest] = own[:, n - rest :]
+    return groups
 
 
 @dataclass(frozen=True)
 class Place:
     """Where to look in the table: one measured azimuth, and for each lane a segment."""
 
-    weight: mi.Float64  # of this azimuth
-    azimuth: mi.UInt32  # its index
+    weight: mi.Float  # of this azimuth
+    turns: mi.Float  # its angle, from 0 to 1
     segment: mi.UInt32  # index among the segments
+    pair: mi.UInt32  # the same, of those of all azimuths
     rows: tuple[mi.UInt32, ...]  # of azimuth and polar angle at both ends of it
-    t: mi.Float64  # how far on the segment, from 0 to 1
+    t: mi.Float  # how far on the segment, from 0 to 1
     past: Turn  # from this azimuth to that of incidence
-    z_i: mi.Float64  # cosine of the angle of incidence
-    ends: tuple[mi.Float64, ...]  # the same at both ends of the segment
+    incident: Vector  # incident direction, towards +x
+    ends: tuple[Vector, ...]  # the same at both ends of the segment
 
-    def incident(self, z: Any = None) -> Vector:
-        """Incident direction, or one at cosine z, towards +x."""
-        z = self.z_i if z is None else z
-        return [dr.safe_sqrt(1 - dr.square(z)), mi.Float64(0), z]
-
-    def fraction(self, end: int) -> mi.Float64:
+    def fraction(self, end: int) -> mi.Float:
         """What an end of the segment has of this azimuth."""
         return self.t if end else 1 - self.t
 
@@ -198,27 +255,27 @@ class IncidentPatches:
     patches : Subdivision
     """
 
-    n_azimuths = n_angles = n_segments = 1
+    n_azimuths = n_angles = 1
 
     def __init__(self, patches: Subdivision) -> None:
         self.patches = patches
+        self.pairs = np.repeat(np.arange(patches.n_patches)[:, None], 2, axis=1)
 
     def frame(self, wi: mi.Vector3f) -> Turn:  # noqa: ARG002
         """Return the frame of lobes, whatever the incident direction."""
-        return Turn(mi.Float64(1), mi.Float64(0))
-
-    def measured(self, azimuth: mi.UInt32) -> mi.Float64:  # noqa: ARG002
-        """Azimuth of the frame of lobes."""
-        return mi.Float64(0)
+        return Turn(mi.Float(1), mi.Float(0))
 
     def around(self, wi: mi.Vector3f, frame: Turn) -> list[Place]:
         """Return the row of the patch that holds `wi`."""
         v = dr.normalize(wi)
         row = mi.UInt32(self.patches.patch_index(DRJIT, v.x, v.y, dr.abs(v.z)))
         row = dr.minimum(row, self.patches.n_patches - 1)  # of NaN too
-        z = mi.Float64(v.z)
-        one, zero, first = mi.Float64(1), mi.Float64(0), mi.UInt32(0)
-        return [Place(one, first, first, (row, row), zero, frame, z, (z, z))]
+        one, zero = mi.Float(1), mi.Float(0)
+        towards = seen_from(wi, frame)
+        ends = towards, towards
+        return [
+            Place(one, zero, mi.UInt32(0), row, (row, row), zero, frame, towards, ends)
+        ]
 
 
 class IncidentPlaces:
@@ -227,66 +284,85 @@ class IncidentPlaces:
     Parameters
     ----------
     grid : IncidentGrid
+
+    Attributes
+    ----------
+    pairs : ndarray of int, shape (pairs, 2)
+        Numbers of the rows at both ends of all segments, azimuth by azimuth.
     """
 
     def __init__(self, grid: IncidentGrid) -> None:
         self.n_azimuths, self.n_angles = len(grid.phi_i), len(grid.theta_i)
-        self.n_segments = max(self.n_angles - 1, 1)
-        self.sin_i = doubles(np.sin(np.radians(grid.theta_i)))
-        self.cos_i = doubles(np.cos(np.radians(grid.theta_i)))
-        self.phi_i = doubles(np.radians(grid.phi_i))
+        theta_i, turns = np.radians(grid.theta_i), grid.phi_i / 360
+        low = np.arange(max(self.n_angles - 1, 1))
+        high = np.minimum(low + 1, self.n_angles - 1)
+        self.n_segments = len(low)
+        ends = np.stack([low, high], axis=-1)
+        first = np.arange(self.n_azimuths)[:, None, None] * self.n_angles
+        self.pairs = (first + ends).reshape(-1, 2)
+        sin, cos = np.sin(theta_i), np.cos(theta_i)
+        numbers = [sin[low], sin[high], cos[low], cos[high]]
+        self.segments = singles(np.stack(numbers, axis=-1))
+        self.angles = SearchTree(heights(theta_i)[None, 1:-1])
+        past = turns - turns[0]
+        gaps = np.diff(past, append=1)
+        numbers = [np.cos(2 * np.pi * turns), np.sin(2 * np.pi * turns), past, gaps]
+        self.azimuths = singles(np.stack(numbers, axis=-1))
+        self.gaps = SearchTree(past[None, 1:])
+        self.first_turns = singles(turns[:1])
 
     def frame(self, wi: mi.Vector3f) -> Turn:
         """Azimuth of `wi`; along the normal, where all meet, the record's first one."""
-        x, y = mi.Float64(wi.x), mi.Float64(wi.y)
-        sine = dr.sqrt(x * x + y * y)
-        first = turn_by(read(self.phi_i, mi.UInt32(0)))
+        sine = dr.sqrt(wi.x * wi.x + wi.y * wi.y)
+        first = packet(self.azimuths, mi.UInt32(0))
         known = sine > 0
         scale = dr.rcp(dr.select(known, sine, 1))
         return Turn(
-            dr.select(known, scale * x, first.cos),
-            dr.select(known, scale * y, first.sin),
+            dr.select(known, scale * wi.x, first.x),
+            dr.select(known, scale * wi.y, first.y),
         )
-
-    def measured(self, azimuth: mi.UInt32) -> mi.Float64:
-        """Azimuth of the records of that number, in radians."""
-        return read(self.phi_i, azimuth)
 
     def around(self, wi: mi.Vector3f, frame: Turn) -> list[Place]:
         """Return the one or two measured azimuths to mix for `wi`."""
-        segment, t = mi.UInt32(0), mi.Float64(0)
+        x, _, z = seen_from(wi, frame)
+        incident = [x, mi.Float(0), z]
+        segment, t = mi.UInt32(0), mi.Float(0)
+        if self.n_angles > 2:
+            segment = self.angles.find(mi.UInt32(0), height(incident))
+        low, high, z_low, z_high = packet(self.segments, segment)
         if self.n_angles > 1:
-            x, y = mi.Float64(wi.x), mi.Float64(wi.y)
-            sine = dr.sqrt(x * x + y * y)
-            segment = last(self.n_segments, lambda i: read(self.sin_i, i) <= sine)
-            low, high = read(self.sin_i, segment), read(self.sin_i, segment + 1)
-            t = dr.clip((sine - low) / (high - low), 0, 1)
-        z_i = mi.Float64(wi.z) / dr.sqrt(mi.Float64(dr.squared_norm(wi)))
-        ends = segment, dr.minimum(segment + 1, self.n_angles - 1)
-        z_ends = tuple(read(self.cos_i, end) for end in ends)
+            # whichever of sine and cosine keeps its precision
+            past = dr.select(z < x, (z_low - z) * (z_low + z), (x - low) * (x + low))
+            width = dr.maximum((x + low) * (high - low), TINY)
+            t = dr.clip(past / width, 0, 1)
+        ends = [low, mi.Float(0), z_low], [high, mi.Float(0), z_high]
 
-        def place(weight: Any, azimuth: mi.UInt32, past: Turn) -> Place:
-            first = azimuth * self.n_angles
-            rows = first + ends[0], first + ends[1]
-            return Place(weight, azimuth, segment, rows, t, past, z_i, z_ends)
+        def place(weight: Any, azimuth: mi.UInt32, turns: Any, past: Turn) -> Place:
+            first = azimuth * self.n_angles + segment
+            rows = first, first + min(self.n_angles - 1, 1)
+            pair = azimuth * self.n_segments + segment
+            known = weight, turns, segment, pair, rows, t
+            return Place(*known, past, incident, ends)
 
+        first_turns = read(self.first_turns, mi.UInt32(0))
         if self.n_azimuths == 1:
-            none = Turn(mi.Float64(1), mi.Float64(0))
-            return [place(mi.Float64(1), mi.UInt32(0), none)]
-        turn = 2 * dr.pi
-        phi = dr.atan2(frame.sin, frame.cos)
-        phi = phi - turn * dr.floor(phi / turn)  # -= would change the caller's too
-        end = mi.UInt32(self.n_azimuths - 1)
-        low = last(self.n_azimuths, lambda i: read(self.phi_i, i) <= phi)
-        # before the first azimuth is after the last one
-        low = dr.select(phi < read(self.phi_i, mi.UInt32(0)), end, low)
-        high = dr.select(low == end, 0, low + 1)
-        past = phi - read(self.phi_i, low)
-        gap = read(self.phi_i, high) - read(self.phi_i, low)
-        past = dr.select(past < 0, past + turn, past)
-        gap = dr.select(gap <= 0, gap + turn, gap)
-        fraction = past / gap
+            none = Turn(mi.Float(1), mi.Float(0))
+            return [place(mi.Float(1), mi.UInt32(0), first_turns, none)]
+        turns = dr.atan2(frame.sin, frame.cos) * (0.5 * dr.inv_pi) - first_turns
+        turns -= dr.floor(turns)
+        number = dr.minimum(self.gaps.find(mi.UInt32(0), turns), self.n_azimuths - 1)
+        next_one = dr.select(number == self.n_azimuths - 1, 0, number + 1)
+        own, other = (packet(self.azimuths, n) for n in (number, next_one))
+        fraction = dr.clip((turns - own.z) / own.w, 0, 1)
+        weights = 1 - fraction, fraction
         return [
-            place(1 - fraction, low, turn_by(past)),
-            place(fraction, high, turn_by(past - gap)),
+            place(weight, n, one.z + first_turns, _turn_between(one, frame))
+            for weight, n, one in zip(weights, (number, next_one), (own, other))
         ]
+
+
+def _turn_between(azimuth: mi.Vector4f, frame: Turn) -> Turn:
+    """Turn from a measured azimuth, by its cosine and sine, to that of a frame."""
+    cos = frame.cos * azimuth.x + frame.sin * azimuth.y
+    sin = frame.sin * azimuth.x - frame.cos * azimuth.y
+    return Turn(cos, sin)

@@ -22,7 +22,7 @@ import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
 from gonio_mi.errors import FinerPatchesWarning
 from gonio_mi.materials.interpolation.lobes import MeasuredLobes
-from gonio_mi.materials.interpolation.lookups import doubles
+from gonio_mi.materials.interpolation.lookups import singles
 from gonio_mi.quadrature import integrate
 from gonio_mi.results.patch_means import PatchMeans
 
@@ -437,10 +437,10 @@ def test_another_angle_or_record_compiles_nothing(plugin):
 @pytest.mark.parametrize("size", [1, 64])
 def test_a_table_anywhere_in_memory_compiles_nothing(size):
     """Twin: as Dr.Jit takes NumPy's memory, its place decides on the kernel."""
-    memory = np.arange(128.0)
+    memory = np.arange(128, dtype=np.float32)
 
     def kernels(load):
-        factor = dr.opaque(mi.Float64, 3, 64)
+        factor = dr.opaque(mi.Float, 3, 64)
         dr.kernel_history_clear()
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             for place in range(8):
@@ -448,8 +448,8 @@ def test_a_table_anywhere_in_memory_compiles_nothing(size):
             history = dr.kernel_history([dr.KernelType.JIT])
         return {kernel["hash"] for kernel in history}
 
-    assert len(kernels(doubles)) == 1
-    assert len(kernels(mi.Float64)) == 2
+    assert len(kernels(singles)) == 1
+    assert len(kernels(mi.Float)) == 2
 
 
 # ------------------------------------------------------------------------- refusals
