@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import drjit as dr
 import mitsuba as mi
@@ -258,6 +257,15 @@ class HalfVectorTransport:
             yield this, place.incident, to, past, eta
 
 
+@dataclass(frozen=True)
+class _InPatch:
+    """A point in a patch: its number, and where in it, from -1/2 to 1/2."""
+
+    number: mi.UInt32
+    off_ring: mi.Float
+    off_sector: mi.Float
+
+
 class LobeArrays:
     """Lobes as measured, one for each row: azimuth, polar angle and hemisphere.
 
@@ -280,21 +288,20 @@ class LobeArrays:
         self.ring_edges = singles(np.stack(numbers, axis=-1))
         self.sector_edges = singles(np.stack([turns[:-1], np.diff(turns)], axis=-1))
         self.cells, self.n_packets = singles(table.cells), table.cells.shape[-1] // 4
-        self._table: LobeTable | None = table
-
-    @cached_property
-    def drawing(self) -> tuple[SearchTree, SearchTree]:
-        """Fractions of the flux below edges of rings, and of sectors in each ring."""
-        rings, sectors = (
+        # fractions of the flux below edges of rings, and of sectors in each ring
+        self.ring_flux, self.sector_flux = (
             SearchTree(cumulative.reshape(-1, cumulative.shape[-1])[:, 1:])
-            for cumulative in self._table.cumulative()
+            for cumulative in table.cumulative()
         )
-        return rings, sectors
 
     def values(
         self, row: mi.UInt32, turns: mi.Float, point: Vector, active: mi.Bool
     ) -> list[mi.Float]:
         """BRDF of each channel at a point, 0 where not active."""
+        return self.values_in(row, self.patch(turns, point), active)
+
+    def patch(self, turns: mi.Float, point: Vector) -> _InPatch:
+        """The patch that holds a point, whichever row is asked."""
         x, y, z = point
         ring = self.rings.find(height(point))
         sin2, cos2, _, per_width = packet(self.ring_edges, ring)
@@ -304,13 +311,21 @@ class LobeArrays:
         turns = dr.atan2(y, x) * dr.inv_two_pi + turns
         turns -= dr.floor(turns)
         sector, in_sector = self._sector(turns)
-        index = (row * self.n_theta + ring) * self.n_phi + sector
-        off_ring, off_sector = (dr.clip(a, 0, 1) - 0.5 for a in (in_ring, in_sector))
+        offsets = (dr.clip(part, 0, 1) - 0.5 for part in (in_ring, in_sector))
+        return _InPatch(ring * self.n_phi + sector, *offsets)
+
+    def values_in(
+        self, row: mi.UInt32, where: _InPatch, active: mi.Bool
+    ) -> list[mi.Float]:
+        """BRDF of each channel in a patch, 0 where not active."""
+        index = row * (self.n_theta * self.n_phi) + where.number
         numbers = self._numbers(index, active)
         if self.n_channels > 1:
             numbers = numbers[3:]
         return [
-            numbers[n] + off_ring * numbers[n + 1] + off_sector * numbers[n + 2]
+            numbers[n]
+            + where.off_ring * numbers[n + 1]
+            + where.off_sector * numbers[n + 2]
             for n in range(0, 3 * self.n_channels, 3)
         ]
 
@@ -329,10 +344,9 @@ class LobeArrays:
 
     def drawn(self, row: mi.UInt32, turns: mi.Float, sample2: mi.Point2f) -> Vector:
         """Point of a lobe."""
-        rings, sectors = self.drawing
-        ring, fraction = rings.quantile(row, sample2.x)
+        ring, fraction = self.ring_flux.quantile(row, sample2.x)
         own = row * self.n_theta + ring
-        sector, past = sectors.quantile(own, sample2.y)
+        sector, past = self.sector_flux.quantile(own, sample2.y)
         index = own * self.n_phi + sector
         mean, along, around, _ = packet(self.cells, index * self.n_packets)
         fraction = tilted(fraction, dr.select(mean > 0, along / mean, 0))
@@ -409,6 +423,7 @@ class InterpolatedLobes:
             by_quantiles = active & ~self.normals.move(place, hemisphere)
             at = place, hemisphere, point, place.t
             others = self.quantiles.moved_where(by_quantiles, *at, (0, 1))
+        stays = []
         for end, row in enumerate(place.rows):
             row = row * self.n_hemispheres + hemisphere
             way = place, end, hemisphere, point
@@ -417,27 +432,41 @@ class InterpolatedLobes:
                 source = selected(by_quantiles, others[end][0], source)
                 stretch = dr.select(by_quantiles, others[end][1], stretch)
             own = self.measured.values(row, place.turns, source, active & comes)
-            own = [stretch * one for one in own]
-            if self.normals.hemispheres:
-                _, leaves = self.normals.goes_to(*way)
-                stays = self._seldom(row, place.turns, point, active & ~leaves)
-                own = [a + b for a, b in zip(own, stays)]
-            fraction = place.fraction(end)
-            values = [a + fraction * b for a, b in zip(values, own)]
+            stretch *= place.fraction(end)
+            values = [a + stretch * b for a, b in zip(values, own)]
+            _, leaves = self.normals.goes_to(*way)
+            stays.append((row, active & ~leaves))
+        if self.normals.hemispheres:
+            added = self._seldom(place, stays, point)
+            values = [a + b for a, b in zip(values, added)]
         return values
 
     def _seldom(
-        self, row: mi.UInt32, turns: mi.Float, point: Vector, active: mi.Bool
+        self, place: Place, stays: Sequence[tuple[mi.UInt32, mi.Bool]], point: Vector
     ) -> list[mi.Float]:
-        """Values of few lanes: all others skip them, which halves the time."""
+        """Values of what stays, of few lanes: all others skip them.
 
-        def looked_up(x: mi.Float, y: mi.Float, z: mi.Float) -> list[mi.Float]:
-            return self.measured.values(row, turns, [x, y, z], active)
+        Parameters
+        ----------
+        place : Place
+        stays : sequence of (row, active)
+            Of both ends of the segment.
+        point : Vector
+        """
+
+        def looked_up(*point: mi.Float) -> list[mi.Float]:
+            values = [mi.Float(0)] * self.n_channels
+            where = self.measured.patch(place.turns, list(point))
+            for end, (row, active) in enumerate(stays):
+                own = self.measured.values_in(row, where, active)
+                values = [a + place.fraction(end) * b for a, b in zip(values, own)]
+            return values
 
         def nothing(*_: mi.Float) -> list[mi.Float]:
             return [mi.Float(0)] * self.n_channels
 
-        found: list[mi.Float] = dr.if_stmt(tuple(point), active, looked_up, nothing)
+        (_, low), (_, high) = stays
+        found: list[mi.Float] = dr.if_stmt(tuple(point), low | high, looked_up, nothing)
         return found
 
     def drawn(
