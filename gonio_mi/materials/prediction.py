@@ -124,7 +124,8 @@ class Prediction:
     ) -> Floats:
         """Means over ``n x n`` points each, a column for each channel."""
         values, _, wanted = face.values(wi, wo)
-        sums = [dr.block_sum(dr.select(wanted, value, 0.0), n * n) for value in values]
+        lit = [mi.Float64(dr.select(wanted, value, 0.0)) for value in values]
+        sums = [dr.block_sum(value, n * n) for value in lit]
         dr.eval(sums)
         return np.stack([one.numpy() for one in sums], axis=-1) / (n * n)
 

@@ -39,7 +39,9 @@ from .lookups import (
 
 
 class InterpolatedBSDF:
-    """Lobe table as Dr.Jit arrays; double precision keeps pole and horizon.
+    """Lobe table as Dr.Jit arrays, in single precision.
+
+    Heights, and differences of directions, keep pole, horizon and what does not move.
 
     Directions are seen from this face: light comes from z > 0. `transmits` tells
     whether any leaves behind it.
@@ -365,7 +367,7 @@ class _Trial:
         wi = mi.Vector3f(*map(floats, self.wi[:, None]))
         face = InterpolatedBSDF(self.table, None, half_vectors, self.quantiles)
         values, _, wanted = face.values(wi, wo)
-        mean = dr.select(wanted, sum(values) / len(values), 0.0)
+        mean = mi.Float64(dr.select(wanted, sum(values) / len(values), 0.0))
         means = dr.block_sum(mean, N_POINTS**2).numpy() / N_POINTS**2
         areas = patches.solid_angles.ravel()[number]
         return float(np.abs(means * areas - radiance[number]).sum())

@@ -290,7 +290,7 @@ class LobeArrays:
         self.cells, self.n_packets = singles(table.cells), table.cells.shape[-1] // 4
         # fractions of the flux below edges of rings, and of sectors in each ring
         self.ring_flux, self.sector_flux = (
-            SearchTree(cumulative.reshape(-1, cumulative.shape[-1])[:, 1:])
+            SearchTree(cumulative.reshape(-1, cumulative.shape[-1])[:, 1:-1])
             for cumulative in table.cumulative()
         )
 

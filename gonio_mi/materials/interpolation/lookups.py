@@ -165,7 +165,8 @@ class Bins:
 class SearchTree:
     """Rows of ascending numbers, in which places are found by eight numbers at once.
 
-    Of every eighth number of a row there is a row of its own, and so on, down to eight.
+    Of the last number of each eight there is a row of its own, and so on, down to
+    eight. Of numbers that are mixed of two each, four are found at once.
 
     Parameters
     ----------
@@ -175,10 +176,12 @@ class SearchTree:
     """
 
     def __init__(self, *ends: Numbers) -> None:
-        self.n_ends, levels = len(ends), [_in_groups(ends)]
-        while (level := levels[0]).shape[1] > 1:
-            last = [level[:, :, number, -1] for number in range(self.n_ends)]
-            levels.insert(0, _in_groups(last))
+        self.n_at_once = N_AT_ONCE // len(ends)
+        # the last group has room for a number that none is beyond
+        levels = [_in_groups(ends, ends[0].shape[1] // self.n_at_once + 1)]
+        while (n := levels[0].shape[1]) > 1:
+            last = list(np.moveaxis(levels[0][..., -1], 2, 0))
+            levels.insert(0, _in_groups(last, -(-n // self.n_at_once)))
         self.n_groups = [level.shape[1] for level in levels]
         self.arrays = [singles(level) for level in levels]
 
@@ -186,13 +189,13 @@ class SearchTree:
         """How many pieces of a row end at a value or below."""
         number = mi.UInt32(0)
         for n_groups, array in zip(self.n_groups, self.arrays):
-            first = (row * n_groups + number) * (2 * self.n_ends)
-            number = number * N_AT_ONCE
-            for half in range(2):
-                end = packet(array, first + half)
-                if t is not None:
-                    end += t * (packet(array, first + 2 + half) - end)
-                number += sum(dr.select(one <= value, mi.UInt32(1), 0) for one in end)
+            first = (row * n_groups + number) * 2
+            ends = [packet(array, first + half) for half in range(2)]
+            if t is not None:
+                low, high = ends
+                ends = [low + t * (high - low)]
+            passed = (dr.select(a <= value, mi.UInt32(1), 0) for b in ends for a in b)
+            number = number * self.n_at_once + sum(passed)
         return number
 
     def quantile(
@@ -200,27 +203,26 @@ class SearchTree:
     ) -> tuple[mi.UInt32, mi.Float]:
         """Bin in which the flux reaches a `fraction`, and how far on in the bin.
 
-        Rows are the flux below the upper edge of each bin, up to 1.
+        Rows are the flux below the edges between bins, of 1.
         """
         fraction = dr.minimum(fraction, dr.one_minus_epsilon(mi.Float))
         number = self.find(row, fraction)
         here = row * (self.n_groups[-1] * N_AT_ONCE) + number
         low = read(self.arrays[-1], here - 1, number > 0)
-        high = read(self.arrays[-1], here)
+        high = dr.minimum(read(self.arrays[-1], here), 1)
         inside = dr.select(high > low, (fraction - low) / (high - low), 0.5)
         return number, dr.clip(inside, 0, 1)
 
 
-def _in_groups(ends: Sequence[Numbers]) -> Singles:
-    """Rows in groups of eight numbers, shape ``(rows, groups, ends, 8)``."""
+def _in_groups(ends: Sequence[Numbers], n_groups: int) -> Singles:
+    """Rows in groups of eight numbers, shape ``(rows, groups, ends, 8 / ends)``."""
     n_rows, n = ends[0].shape
-    whole, rest = divmod(n, N_AT_ONCE)
-    n_groups = max(whole + (rest > 0), 1)
-    groups = aligned((n_rows, n_groups, len(ends), N_AT_ONCE))
+    width = N_AT_ONCE // len(ends)
+    whole, rest = divmod(n, width)
+    groups = aligned((n_rows, n_groups, len(ends), width))
     groups[:, whole:] = BEYOND
     for number, own in enumerate(ends):
-        full = own[:, : n - rest].reshape(n_rows, whole, N_AT_ONCE)
-        groups[:, :whole, number] = full
+        groups[:, :whole, number] = own[:, : n - rest].reshape(n_rows, whole, width)
         if rest:
             groups[:, whole, number, :rest] = own[:, n - rest :]
     return groups
