@@ -274,8 +274,8 @@ def unexplained_fraction(maps: FourMaps, name: str) -> tuple[float, float]:
     Returns
     -------
     fraction : float
-        Of the light that is too much or too little, or in other patches than is due,
-        less what chance explains; a sample carries what others of its patch do.
+        Too much or too little, or in other patches than is due, less what chance
+        explains.
     surplus : float
         Of samples over integrals, times the cosine of wi.
     """
@@ -283,13 +283,9 @@ def unexplained_fraction(maps: FourMaps, name: str) -> tuple[float, float]:
     drawn, due = maps.totals.sums / n, maps.weights
     if name == "sampling":
         drawn, due = maps.drawn, maps.pdf
-    gain = (drawn - due).sum() / max(drawn.sum(), due.sum(), 1e-30)
-    surplus = float(abs(maps.condition.wi[2]) * gain)
-    if name == "sampling":
-        light = np.maximum(maps.totals.sums / n, maps.weights)
-        light /= np.maximum(np.maximum(drawn, due), 1 / n)  # of a sample at least
-        drawn, due = drawn * light, due * light
     whole = max(drawn.sum(), due.sum())
+    gain = (drawn - due).sum()
+    surplus = float(abs(maps.condition.wi[2]) * gain / max(whole, 1e-30))
     if not whole > 0:
         return 0.0, surplus
     total = abs(drawn.sum() - due.sum()) * _certain(np.array(scores.total))

@@ -101,13 +101,9 @@ class DoubleAtGrazing:
         return value * self.by("eval_pdf", wo), pdf
 
 
-class DarkAtGrazing(DoubleAtGrazing):
-    """What `eval` has not is a hundredth of the light, too."""
-
-    wrong, factor = "eval", 0.0
-
-
 class JointDarkAtGrazing(DoubleAtGrazing):
+    """What `eval_pdf` has not is a hundredth of the light, too."""
+
     wrong, factor = "eval_pdf", 0.0
 
 
@@ -168,14 +164,12 @@ def test_what_is_little_at_some_angles_is_looked_at_between():
     ("mixin", "property_"),
     [
         (DoubleAtGrazing, "sampled_weight"),
-        (DarkAtGrazing, "weights"),
-        (DarkAtGrazing, "sampling"),
         (JointDarkAtGrazing, "eval_pdf"),
     ],
 )
 @pytest.mark.usefixtures("mono")
 def test_shares_are_of_the_light_not_of_samples(mixin, property_):
-    """A hundredth; of `sampling`, at 35 degrees, less what chance explains."""
+    """A hundredth of it, and a tenth of the samples."""
     verdict = judged(mixin)
     assert mixin.wrong in str(verdict.function), str(verdict)
     assert verdict[property_].counts, str(verdict)

@@ -75,8 +75,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
         part = f"{100 * dark.sum() / usable.sum():.3g} % of the samples with light"
         guess = (Weights.DARK_AND_IMPOSSIBLE if both else Weights.DARK)(EVAL)
         text, size = f"{part} at {samples.condition}", 1 + float(dark.mean())
-        how = {"statistic": text, "size": size, "off": samples.share(dark)}
-        evidence.breach(WEIGHTS, guess, samples, dark, **how)
+        evidence.breach(WEIGHTS, guess, samples, dark, statistic=text, size=size)
 
 
 def check_unsampled_side(evidence: Evidence, condition: Condition) -> bool:
