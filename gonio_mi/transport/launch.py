@@ -22,7 +22,10 @@ from .polarisation import n_channels
 from .sampling import (
     Relay,
     continues,
+    in_points_beside,
     in_turns,
+    is_joint,
+    points_per_lane,
     rays_per_lane,
     seeded,
     split_lanes,
@@ -95,8 +98,12 @@ def launch(one: Launch) -> Totals:
     turns = 1 if traced else turns_of(setup.sampler, sizes[0])
     if inside and continues(setup.sampler):
         turns = rays_per_lane(setup.sampler, sizes[0])
-    lanes = -(-sizes[0] // turns)
-    if traced and len(sizes) * lanes == 1:
+    rays_of_lanes, shared = sizes[0], _shares_words(one)
+    if shared:
+        turns = points_per_lane(sum(sizes))
+        rays_of_lanes += one.begin % turns
+    lanes = -(-rays_of_lanes // turns)
+    if (traced or shared) and len(sizes) * lanes == 1:
         lanes = 2  # in a single one Dr.Jit 1.5 takes a loop's variables for constants
     levels = one.levels
     while True:
@@ -104,12 +111,15 @@ def launch(one: Launch) -> Totals:
         sums = Sums(setup, levels, one.capacity, known)
         sampler, batch, ray, size = _wavefront(one, lanes)
         rays = LaunchedRays(one, sums, batch, size)
+        add = partial(setup.method.add, rays)
         if inside:
             rays.relay(sampler, ray, sizes[0])
+        elif shared:
+            in_points_beside(add, sampler, ray, turns)
         elif turns > 1:
-            in_turns(partial(setup.method.add, rays), sampler, ray, lanes, turns)
+            in_turns(add, sampler, ray, lanes, turns)
         else:
-            setup.method.add(rays, sampler, ray)
+            add(sampler, ray)
         sums.evaluate()
         check_variant_kept()
         if not sums.lacking:
@@ -117,6 +127,16 @@ def launch(one: Launch) -> Totals:
         # fainter or brighter light than there was room for: once more, with room for it
         levels = sums.lacking
     return sums.totals(len(sizes))
+
+
+def _shares_words(one: Launch) -> bool:
+    """Whether lanes send rays of points beside each other, where bits allow it.
+
+    Not for derivatives, nor where plugins in Python may look at their lanes.
+    """
+    on_cpu = mi.variant().startswith("llvm")
+    plain = not traces(one.setup) and not one.setup.specimen.plane.by_ray
+    return on_cpu and plain and is_joint(one.setup.sampler) and one.derivative is None
 
 
 def _wavefront(

@@ -13,6 +13,7 @@ import numpy as np
 from ..array_types import Numbers
 from ..errors import SpecimenError
 from ..kernels import syntax
+from .sobol_points import BESIDE_BITS
 
 # Plugin names of the class names, which is all that a sampler knows.
 NAMES = {
@@ -41,6 +42,10 @@ def sampler_name(sampler: mi.Sampler) -> str:
 MAX_TURNS = 16
 MIN_LANES = 2**16
 
+# Lanes of rays that share words, at least: enough for all threads, and for them to
+# take turns.
+MIN_SHARING_LANES = 2**14
+
 # The same of a relay, whose rays may be a thousand times as long as others; and of
 # samplers whose numbers are the same in any lane, lanes of each thread, or as if a GPU
 # had so many: the largest hold 2**18 lanes at once.
@@ -54,8 +59,8 @@ def is_joint(sampler: mi.Sampler) -> bool:
 
     Then their numbers are the same however launches share them. Such a sampler has
     `start`, the point of the next wavefront's first ray; `points` and `go_to`, by which
-    a lane draws for another ray; `follow`, by which rays start along a :class:`.Curve`;
-    and `skip`, which leaves dimensions out.
+    a lane draws for another ray, or one beside it; `follow`, by which rays start along
+    a :class:`.Curve`; and `skip`, which leaves dimensions out.
     """
     return bool(getattr(sampler, "is_joint", False))
 
@@ -126,6 +131,40 @@ def in_turns(
     while turn < turns:
         add(sampler, ray + turn * lanes)
         turn += 1
+
+
+def points_per_lane(rays: int) -> int:
+    """Points beside each other that a lane draws for, of so many: a power of two."""
+    several = max(1, min(2**BESIDE_BITS, rays // MIN_SHARING_LANES))
+    return 1 << several.bit_length() - 1
+
+
+def in_points_beside(
+    add: Callable[[mi.Sampler, mi.UInt32], None],
+    sampler: mi.Sampler,
+    lane: mi.UInt32,
+    n: int,
+) -> None:
+    """Send rays of `n` points, a power of two, in each lane: they share their words.
+
+    The sampler :func:`is_joint`. Its `start` may be any of the first `n` points, of
+    which those before it have numbers that no ray has. The loop is there for any `n`,
+    so that all numbers of rays have one kernel.
+    """
+    before = sampler.start % n
+    base, before, n = (
+        dr.opaque(mi.UInt32, x) for x in (sampler.start - before, before, n)
+    )
+    first, key = lane * n, sampler.key
+    index = first + base
+
+    def send(beside: mi.UInt32) -> tuple[mi.UInt32]:
+        sampler.go_to(index, key, beside)
+        add(sampler, first + beside - before)
+        return (beside + 1,)
+
+    # of a sampler that were a state of the loop, the kernel would not know the draw
+    dr.while_loop((mi.UInt32(0),), lambda beside: beside < n, send)
 
 
 class Relay:

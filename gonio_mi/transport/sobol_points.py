@@ -71,6 +71,9 @@ def direction_numbers(dimension: int) -> list[int]:
     return v
 
 
+# Lowest bits of an index by which points beside each other differ.
+BESIDE_BITS = 4
+
 # All that follows is mirrored, for that is what the scrambling works on: bit 0 is the
 # first binary digit of a coordinate.
 MIRRORED = [[dr.brev(v) for v in direction_numbers(d)] for d in ORDER]
@@ -94,17 +97,21 @@ def byte_table(kind: type[mi.UInt32]) -> mi.UInt32:
     return kind(table.ravel())
 
 
-def sobol_known(index: mi.UInt32, draw: Any) -> mi.UInt32:
-    """Mirrored coordinate of a point, for the `draw` of a block known when tracing."""
+def sobol_known(index: mi.UInt32, draw: Any, bits: int = 32) -> mi.UInt32:
+    """Mirrored coordinate of a point, for the `draw` of a block known when tracing.
+
+    Of an index of so many `bits`.
+    """
     if ORDER[draw] == 0:
         return index
     if ORDER[draw] == 1:
         # binomial coefficients modulo 2, as a product of five matrices (Ahmed 2024)
         for shift, mask in GROUPS:
-            index = index ^ ((index >> shift) & mask)
+            if shift < bits:
+                index = index ^ ((index >> shift) & mask)
         return index
     coordinate = mi.UInt32(0)
-    for bit, number in enumerate(MIRRORED[draw]):
+    for bit, number in enumerate(MIRRORED[draw][:bits]):
         chosen = dr.select(index & (1 << bit) != 0, mi.UInt32(number), 0)
         coordinate = coordinate ^ chosen
     return coordinate
@@ -175,16 +182,25 @@ def _hash(x: mi.UInt32) -> mi.UInt32:
     return x ^ (x >> 14)
 
 
-def sobol_number(index: mi.UInt32, seed: Any, draw: Any) -> mi.UInt32:
+def sobol_number(
+    index: mi.UInt32, seed: Any, draw: Any, beside: mi.UInt32 | None = None
+) -> mi.UInt32:
     """Scrambled coordinate of points, as 32 bits: number `draw` of each.
 
     Draws of the first block are coordinates of one point. Each further block takes the
     points in an order of its own: nested uniform shuffling (Burley 2020), that is Owen
     scrambling of the mirrored index.
+
+    The index is ``index ^ beside`` where `beside`, of :data:`BESIDE_BITS` bits, is
+    given. Coordinates are linear over GF(2), so that a loop over points beside one
+    `index` computes the coordinate of that once, and so its key.
     """
     if draw.state == dr.VarState.Literal and draw[0] < BLOCK:
         coordinate = sobol_known(index, draw[0])
+        if beside is not None:
+            coordinate = coordinate ^ sobol_known(beside, draw[0], BESIDE_BITS)
     else:
+        index = index if beside is None else index ^ beside
         block = draw // BLOCK
         shuffled = dr.brev(owen(dr.brev(index), key(~seed, block)))
         index = dr.select(block == 0, index, shuffled)

@@ -58,6 +58,8 @@ class Sobol(mi.Sampler):
         # Index in the sequence of the first point of the next wavefront to be seeded
         self.start = 0
         self.index = mi.UInt32(0)
+        # What is added to the index by exclusive or
+        self.beside: mi.UInt32 | None = None
         self.key = mi.UInt32(0)
         self.draw = mi.UInt32(0)
         # Scrambling of each sequence
@@ -100,9 +102,15 @@ class Sobol(mi.Sampler):
         every = dr.zeros(mi.UInt32, dr.width(self.index))
         return self.index + every, self.key + every
 
-    def go_to(self, index: mi.UInt32, key: mi.UInt32) -> None:
-        """Draw the numbers of other points, from their first."""
+    def go_to(
+        self, index: mi.UInt32, key: mi.UInt32, beside: mi.UInt32 | None = None
+    ) -> None:
+        """Draw the numbers of other points, from their first.
+
+        Their indices are ``index ^ beside`` where the latter, below 16, is given.
+        """
         self.index, self.key, self.draw = index, key, mi.UInt32(0)
+        self.beside = beside
 
     def advance(self) -> None:
         """Go on by one wavefront."""
@@ -112,7 +120,7 @@ class Sobol(mi.Sampler):
     def next_1d(self, active: mi.Bool | bool = True) -> mi.Float:
         """Next number of each point."""
         del active
-        bits = sobol_number(self.index, self.key, self.draw)
+        bits = sobol_number(self.index, self.key, self.draw, self.beside)
         self.draw = self.draw + 1
         return fraction(bits)
 
