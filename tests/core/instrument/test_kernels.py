@@ -703,3 +703,18 @@ def test_another_number_of_batches_is_no_other_kernel(specimen, room, monkeypatc
             history = dr.kernel_history([dr.KernelType.JIT])
         hashes.append({one["hash"] for one in history})
     assert (hashes[1] <= hashes[0]) == (room is None)
+
+
+@pytest.mark.parametrize("known", [False, True], ids=["right", "twin"])
+def test_another_number_of_rays_is_no_other_kernel(known, monkeypatch):
+    """Exact: few have a lane each, many share one; twin: a loop of known length."""
+    if known:
+        monkeypatch.setattr(dr, "opaque", lambda kind, x: kind(x))
+    hashes = []
+    for rays in (2**10, 2**16):
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            dr.kernel_history_clear()
+            gonio.measure({"type": "diffuse"}, 30, estimator="weighted", rays=rays)
+            history = dr.kernel_history([dr.KernelType.JIT])
+        hashes.append({one["hash"] for one in history})
+    assert (hashes[1] <= hashes[0]) == (not known)

@@ -84,6 +84,23 @@ def test_both_ways_to_a_coordinate_agree():
         assert dr.all(known == table)
 
 
+@pytest.mark.parametrize("index", [16 * 3_141_592, 1234 << 4])
+def test_points_beside_an_index_have_the_numbers_of_their_own(index):
+    """Exact, in the first block and those that are shuffled; twin: of one bit less."""
+
+    def differing(draw, bits):
+        draw = mi.UInt32(draw) if draw < sobol.BLOCK else dr.opaque(mi.UInt32, draw)
+        beside = dr.arange(mi.UInt32, 2**bits)
+        whole = sobol.sobol_number(index ^ beside, mi.UInt32(5), draw)
+        shared = sobol.sobol_number(mi.UInt32(index), mi.UInt32(5), draw, beside)
+        return dr.count(whole != shared)[0]
+
+    for draw in (*range(sobol.BLOCK), 20, 40):
+        assert differing(draw, sobol.BESIDE_BITS) == 0
+        if draw < sobol.BLOCK and sobol.ORDER[draw]:
+            assert differing(draw, sobol.BESIDE_BITS + 1) == 2**sobol.BESIDE_BITS
+
+
 def quality(x, y, m):
     """Parameter t of the net of 2**m points in base 2: 0 is best, m says nothing."""
     for t in range(m + 1):
@@ -563,6 +580,54 @@ def test_launches_of_any_length_have_the_same_bits(monkeypatch, trace):
     assert sent[0] <= (2048 if trace else 2000)
     assert max(sent[1:]) <= 1024
     assert gonio.measure(PLASTIC, **random).tallies != one.tallies
+
+
+@pytest.mark.parametrize("estimator", ["weighted", "analog"])
+def test_points_that_share_words_have_the_same_bits(monkeypatch, estimator):
+    """Exact: in launches that begin and end anywhere, up to the end of the sequence.
+
+    Down to a batch of fewer points than a lane has. Twin: rays of one lane that all
+    have the numbers of the first.
+    """
+    settings = {"theta_i": 60, "estimator": estimator}
+    sizes = [(20_003, 7), (5, 1), (33, 2), (1, 1)]
+
+    def tallies():
+        measured = (
+            gonio.measure(PLASTIC, rays=rays, batches=batches, **settings)
+            for rays, batches in sizes
+        )
+        return [record.tallies for record in measured]
+
+    apart = tallies()
+    together = sampling.points_per_lane(2**30)
+    assert together == 2**sobol.BESIDE_BITS
+    monkeypatch.setattr(sampling, "MIN_SHARING_LANES", 1)
+    assert tallies() == apart
+    for name in ("FUSED_RAYS", "FIRST_PLANE", "MAX_LAUNCH"):
+        monkeypatch.setattr(launcher, name, 1003)
+    assert tallies() == apart
+    monkeypatch.setattr(sobol, "BESIDE_BITS", 0)
+    assert tallies() != apart
+
+
+def test_a_lane_sends_each_point_once_at_the_end_of_a_sequence():
+    """Exact: the last points of 2**32, from any of those that a lane draws for."""
+    for before, n in itertools.product((1, 5, 21, 40), (1, 4, 16)):
+        sampler = mi.load_dict({"type": "sobol"})
+        start = 2**32 - before
+        lanes = -(-(before + start % n) // n) + 1
+        sampler = sampling.seeded(sampler, [(1,)], start, lanes)
+        sent = dr.zeros(mi.UInt32, before + 1)
+
+        def add(sampler, ray, sent=sent, before=before, start=start):
+            right = (sampler.index ^ sampler.beside) == ray + start
+            place = dr.select(right & (ray < before), ray, before)
+            dr.scatter_add(sent, mi.UInt32(1), place)
+
+        lane = dr.arange(mi.UInt32, lanes)
+        sampling.in_points_beside(add, sampler, lane, n)
+        assert sent.numpy()[:before].tolist() == [1] * before
 
 
 @pytest.mark.parametrize("rate", [1e2, 1e5, 3e6, 1e9])
