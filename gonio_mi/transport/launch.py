@@ -130,13 +130,16 @@ def launch(one: Launch) -> Totals:
 
 
 def _shares_words(one: Launch) -> bool:
-    """Whether lanes send rays of points beside each other, where bits allow it.
+    """Whether lanes send rays of points beside each other, in a loop.
 
-    Not for derivatives, nor where plugins in Python may look at their lanes.
+    Not for derivatives, nor where plugins in Python may look at their lanes: what is
+    computed in a loop has no values yet. On a GPU it has not been measured.
     """
-    on_cpu = mi.variant().startswith("llvm")
-    plain = not traces(one.setup) and not one.setup.specimen.plane.by_ray
-    return on_cpu and plain and is_joint(one.setup.sampler) and one.derivative is None
+    setup = one.setup
+    if traces(setup) or not is_joint(setup.sampler) or one.derivative is not None:
+        return False
+    inspected = setup.specimen.plane.by_ray or not setup.beam.collimated
+    return mi.variant().startswith("llvm") and not inspected
 
 
 def _wavefront(

@@ -17,6 +17,7 @@ from gonio_mi.specimen import specimen
 from gonio_mi.specimen.loading import load_plugin_file
 from gonio_mi.specimen.scene_objects import traversed
 from gonio_mi.threads import two_threads
+from gonio_mi.transport import launch
 
 ALBEDO = 0.625  # exact in binary: so are its sums over rays of one weight
 
@@ -259,6 +260,10 @@ def test_what_rays_share_would_be_too_short(plugin, rgb, monkeypatch):  # noqa: 
     load_plugin_file(plugin)
     for module in (specimen, evaluator):
         monkeypatch.setattr(module, "holds_foreign_plugins", lambda _: False)
+    # nor has anything in the loop of a lane's rays a value
+    with pytest.raises(RuntimeError, match="side effect"):
+        dhr(LOOKED)
+    monkeypatch.setattr(launch, "_shares_words", lambda _: False)
     with pytest.raises(ValueError, match="dimensions"):
         dhr(LOOKED)
 
