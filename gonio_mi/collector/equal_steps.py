@@ -60,14 +60,15 @@ class _Regular(RingsAndSectors):
         """Ring of a direction, counted from whichever end keeps its precision."""
         from_pole, from_horizon = self._coordinates(xp, sin2, z)
         n = float(self.n_theta)
-        above = xp.floor(from_pole * (n * (1 + EDGE)))
-        below = n - xp.ceil(from_horizon * (n * (1 - EDGE)))
-        return xp.minimum(xp.where(sin2 < z * z, above, below), n - 1)
+        above = xp.floor(from_pole * xp.parameter(n * (1 + EDGE)))
+        ceiling = xp.ceil(from_horizon * xp.parameter(n * (1 - EDGE)))
+        ring = xp.where(sin2 < z * z, above, xp.parameter(n) - ceiling)
+        return xp.minimum(ring, xp.parameter(n - 1))
 
     def _sector(self, xp: Any, x: Any, y: Any) -> Any:
         """Sector of a direction; the collector is turned by ``EDGE`` radians."""
-        n = float(self.n_phi)
-        turn = (xp.atan2(y, x) + EDGE) * (n / (2 * np.pi))
+        n = xp.parameter(float(self.n_phi))
+        turn = (xp.atan2(y, x) + EDGE) * xp.parameter(self.n_phi / (2 * np.pi))
         sector = xp.floor(xp.where(turn < 0, turn + n, turn))
         # the pole, and what rounding lifted to a full turn, are in the first sector
         return xp.where(((x == 0) & (y == 0)) | (sector >= n), 0.0, sector)

@@ -28,6 +28,7 @@ _NUMPY = SimpleNamespace(
     **{name: getattr(np, name) for name in SHARED_NAMES},
     atan2=np.arctan2,
     where=np.where,
+    parameter=lambda x: x,
     count_below=lambda edges, x: np.searchsorted(edges, x, side="right"),
     take=lambda table, index: table[index.astype(int)],
 )
@@ -123,9 +124,10 @@ class Subdivision(ABC):
         ----------
         xp : namespace
             Has ``sqrt``, ``sin``, ``cos``, ``atan2``, ``floor``, ``ceil``, ``minimum``,
-            ``where``, ``count_below(edges, x)``, the number of ascending edges not
-            above x, and ``take(table, index)``, the entries of a float table at whole
-            floating-point numbers.
+            ``where``, ``parameter(x)``, a float that is no constant of a kernel,
+            ``count_below(edges, x)``, the number of ascending edges not above x, and
+            ``take(table, index)``, the entries of a float table at whole floating-point
+            numbers.
         x, y, z : array
             Components of unit vectors, z > 0.
         """
@@ -355,7 +357,8 @@ class RingsAndSectors(Subdivision):
 
     def patch_index(self, xp: Any, x: Any, y: Any, z: Any) -> Any:
         """Number ``i * n_phi + j`` of the patch; see `Subdivision.patch_index`."""
-        return self._ring(xp, x * x + y * y, z) * self.n_phi + self._sector(xp, x, y)
+        before = self._ring(xp, x * x + y * y, z) * xp.parameter(float(self.n_phi))
+        return before + self._sector(xp, x, y)
 
     def in_rings(self, values: NDArray[Any]) -> tuple["RingsAndSectors", NDArray[Any]]:
         """Return what it is, and `values`."""

@@ -27,12 +27,18 @@ def _take(table: Numbers, index: mi.Float) -> mi.Float:
     return dr.gather(mi.Float, mi.Float(table), mi.UInt32(index), index >= 0)
 
 
+def _parameter(x: float) -> mi.Float:
+    """Return a number that kernels read: another one compiles nothing."""
+    return dr.opaque(mi.Float, x)
+
+
 # Dr.Jit's array functions under the names that subdivisions call: see
 # gonio_mi.collector.Subdivision.patch_index.
 DRJIT = SimpleNamespace(
     **{name: getattr(dr, name) for name in SHARED_NAMES},
     atan2=dr.atan2,
     where=dr.select,
+    parameter=_parameter,
     count_below=_count_below,
     take=_take,
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -35,6 +35,20 @@ def incident_key(incident: tuple[float, float] | None) -> tuple[int, ...]:
         return (0,)
     # no minus zero
     return tuple((np.array(incident, dtype=float) + 0.0).view(np.uint64).tolist())
+
+
+class Sizes(NamedTuple):
+    """Numbers that kernels read, so that those of another collector compile nothing.
+
+    Attributes
+    ----------
+    patches, collected, bins : mi.UInt32
+        Patches of a hemisphere, of all hemispheres, and these and the fates.
+    """
+
+    patches: Any
+    collected: Any
+    bins: Any
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,6 +144,12 @@ class Setup:
         """Patches and fates."""
         return self.n_collected + len(Fate)
 
+    @cached_property
+    def sizes(self) -> Sizes:
+        """Numbers of patches and bins, for kernels."""
+        sizes = self.n_patches, self.n_collected, self.n_bins
+        return Sizes(*(dr.opaque(mi.UInt32, n) for n in sizes))
+
     @property
     def levels(self) -> range:
         """Levels of rare powers that sums have room for before any is met."""
@@ -185,24 +205,28 @@ class Setup:
         left = (exits.fate == mi.UInt32(Fate.REFLECTED)) & (dr.abs(up) > 0)
         lower = up < 0
         left |= direct & lower
-        patch = dr.minimum(self._patch(exits, d), self.n_patches - 1)
+        patch = dr.minimum(self._patch(exits, d), self.sizes.patches - 1)
         fate = dr.select(
             (exits.fate == mi.UInt32(Fate.REFLECTED)) | (direct & ~lower),
             mi.UInt32(Fate.SIDEWAYS),
             exits.fate,
         )
         if self.shape[0] == 2:
-            patch += dr.select(lower, mi.UInt32(self.n_patches), mi.UInt32(0))
+            patch += dr.select(lower, self.sizes.patches, mi.UInt32(0))
         else:
             passed = left & lower & ~direct
             fate = dr.select(passed, mi.UInt32(Fate.TRANSMITTED), fate)
             left &= ~lower
-        return dr.select(left, patch, self.n_collected + fate)
+        return dr.select(left, patch, self.fate_bin(fate))
+
+    def fate_bin(self, fate: Fate | mi.UInt32) -> mi.UInt32:
+        """Bin of a :class:`Fate`."""
+        return self.sizes.collected + mi.UInt32(fate)
 
     def fate_bins(self, bins: mi.UInt32, direct: mi.Bool) -> mi.UInt32:
         """Bins of the fates of rays whose `bins` may be those of patches."""
-        reflected = mi.UInt32(self.n_collected + Fate.REFLECTED)
-        transmitted = mi.UInt32(self.n_collected + Fate.TRANSMITTED)
+        reflected = self.fate_bin(Fate.REFLECTED)
+        transmitted = self.fate_bin(Fate.TRANSMITTED)
         transmitted += dr.select(direct, Fate.DIRECT - Fate.TRANSMITTED, mi.UInt32(0))
-        fate = dr.select(bins < self.n_patches, reflected, transmitted)
-        return dr.select(bins < self.n_collected, fate, bins)
+        fate = dr.select(bins < self.sizes.patches, reflected, transmitted)
+        return dr.select(bins < self.sizes.collected, fate, bins)

@@ -256,13 +256,13 @@ class Sums:
             bins = self.setup.fate_bins(bins, direct)
         self.deposit(bins, exits.throughput, active, batch, change=exits.change)
         if self.setup.specimen.periodic and not self.deposits:
-            twice = active & direct & (bins < self.setup.n_collected)
-            bins = mi.UInt32(self.setup.n_collected + Fate.DIRECT)
+            twice = active & direct & (bins < self.setup.sizes.collected)
+            bins = self.setup.fate_bin(Fate.DIRECT)
             self.deposit(bins, exits.throughput, twice, batch)
         elif exits.over_the_edge is not None and not self.setup.specimen.periodic:
             left = exits.over_the_edge & (exits.fate == mi.UInt32(Fate.REFLECTED))
-            left &= active & (bins != self.setup.n_collected + Fate.SIDEWAYS)
-            index = batch * self.setup.n_bins + (self.setup.n_bins - 1)
+            left &= active & (bins != self.setup.fate_bin(Fate.SIDEWAYS))
+            index = (batch + 1) * self.setup.sizes.bins - 1
             packet = [1] + [0] * (self.width - 1)
             _scatter_add(self.bins, mi.ArrayXi64(packet), index, left)
         if not self.setup.beam.uniform:
@@ -290,15 +290,15 @@ class Sums:
         power = power_of(light)
         if self.columns is not None and change is not None:
             sound = dr.max(dr.abs(change)) <= MAX_POWER  # false for NaN
-            wrong = active & (bins < self.setup.n_collected) & ~sound
+            wrong = active & (bins < self.setup.sizes.collected) & ~sound
             _scatter_add(self.unsound, mi.UInt32(1), mi.UInt32(0), wrong)
             parts = [dr.maximum(change, 0), dr.maximum(-change, 0)]
             self._add_columns(bins, parts, active & sound, batch)
         elif self.columns is not None and n_elements():
             columns, size = other_elements(light), dr.abs(power)
             self._add_columns(bins, columns, active, batch, size)
-        collected = bins < self.setup.n_collected
-        collected |= bins == self.setup.n_collected + Fate.DIRECT
+        collected = bins < self.setup.sizes.collected
+        collected |= bins == self.setup.fate_bin(Fate.DIRECT)
         if self.counted:
             # by 32-bit integers, to which vector units convert much faster
             numbers = [mi.Int64(mi.Int32(dr.round(p))) for p in power]
@@ -311,7 +311,7 @@ class Sums:
         excesses = [numbers[0] - self.one, *(n - numbers[0] for n in numbers[1:])]
         packet = [1, *(dr.select(collected, e, 0) for e in excesses)]
         packet += [0] * (self.width - len(packet))
-        bins = bins + batch * self.setup.n_bins
+        bins = bins + batch * self.setup.sizes.bins
         _scatter_add(self.bins, mi.ArrayXi64(packet), bins, active)
 
     def _add_columns(
@@ -323,7 +323,7 @@ class Sums:
         least: mi.UnpolarizedSpectrum | None = None,
     ) -> None:
         """Scatter signed columns to patches, in a unit for sizes of at `least` that."""
-        active = active & (bins < self.setup.n_collected)
+        active = active & (bins < self.setup.sizes.collected)
         for channel in range(self.channels):
             several = [one[channel] for one in columns]
             sizes = [
@@ -336,7 +336,7 @@ class Sums:
                 level = dr.select(size >= step, mi.UInt32(number), level)
                 unit = dr.select(size >= step, 2.0 ** -COLUMN_UNITS[number], unit)
             place = (level * self.channels + channel) * self._n_batches + batch
-            place = place * self.setup.n_collected + bins
+            place = place * self.setup.sizes.collected + bins
             packet = [mi.Int64(dr.round(one * unit)) for one in several]
             packet += [mi.Int64(0)] * (self.column_width - len(packet))
             _scatter_add(self.columns, mi.ArrayXi64(packet), place, active & (size > 0))
@@ -357,7 +357,7 @@ class Sums:
         if self.levels:
             step = mi.UInt32(level - self.levels.start)
             place = (step * self.channels + channel) * self._n_batches + batch
-            place = place * self.setup.n_bins + bins
+            place = place * self.setup.sizes.bins + bins
             active = active & (step < len(self.levels))
             _scatter_add(self.rare, sign * digits.number_in_level(), place, active)
 

@@ -28,6 +28,7 @@ from gonio_mi.kernels import check_all_counted, launches_kernels
 from gonio_mi.specimen.loading import load_specimen
 from gonio_mi.threads import drjit_lock, thread_count, two_threads
 from gonio_mi.transport import sampling, sums
+from gonio_mi.transport.collector_sphere import DRJIT
 from gonio_mi.transport.sampling import rays_per_lane
 
 PLATE = {"type": "diffuse", "reflectance": 0.7}
@@ -703,6 +704,33 @@ def test_another_number_of_batches_is_no_other_kernel(specimen, room, monkeypatc
             history = dr.kernel_history([dr.KernelType.JIT])
         hashes.append({one["hash"] for one in history})
     assert (hashes[1] <= hashes[0]) == (room is None)
+
+
+@pytest.mark.parametrize("known", [False, True], ids=["right", "twin"])
+@pytest.mark.parametrize("kind", ["angle", "solid", "projected", "sine"])
+@pytest.mark.parametrize(
+    "specimen", [{"type": "diffuse"}, PLATE], ids=["flat", "plate"]
+)
+def test_another_number_of_patches_is_no_other_kernel(
+    specimen, kind, known, monkeypatch
+):
+    """Exact, where the sums of both have room in arrays of one size."""
+    if known:
+        monkeypatch.setattr(DRJIT, "parameter", lambda x: x)
+    hashes = []
+    for size in ("30x60", "29x58"):
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            dr.kernel_history_clear()
+            gonio.measure(
+                specimen,
+                30,
+                estimator="weighted",
+                rays=2**14,
+                collector=f"{kind}:{size}",
+            )
+            history = dr.kernel_history([dr.KernelType.JIT])
+        hashes.append({one["hash"] for one in history})
+    assert (hashes[1] <= hashes[0]) == (not known)
 
 
 @pytest.mark.parametrize("known", [False, True], ids=["right", "twin"])
