@@ -13,28 +13,28 @@ import lines
 
 # Lines of code: none blank, no comment, no docstring. `python tests/tools/lines.py`.
 BUDGET = {
-    "collector": 926,
+    "collector": 929,
     "settings": 630,
-    "results": 3005,
-    "files": 1547,
-    "surfaces": 822,
+    "results": 3029,
+    "files": 1546,
+    "surfaces": 824,
     "plots": 872,
-    "specimen": 2170,
-    "transport": 2992,
+    "specimen": 2204,
+    "transport": 3069,
     "quadrature": 745,
-    "estimators": 1317,
-    "instrument": 1364,
+    "estimators": 1320,
+    "instrument": 1361,
     "campaigns": 651,
-    "plugins": 858,
+    "plugins": 866,
     "reports": 237,
-    "commands": 1175,
-    "entrance": 994,
-    "materials": 2774,
-    "exchange": 3811,
-    "analysis": 5370,
-    "validation": 9784,
+    "commands": 1176,
+    "entrance": 1011,
+    "materials": 2826,
+    "exchange": 3865,
+    "analysis": 5683,
+    "validation": 9983,
 }
-CORE, WHOLE = 20305, 41885
+CORE, WHOLE = 20470, 42827
 
 # What a room may have beyond its budget.
 SLACK = 1.03
