@@ -217,6 +217,46 @@ def test_a_fit_beside_a_table():
 # --------------------------------------------------------------- one question for all
 
 
+@pytest.fixture(scope="module")
+def sources(tmp_path_factory):
+    """The same Lambertian by its specimen, a record, a table and a fit; another one."""
+    mi.set_variant("llvm_ad_mono")
+    path = str(tmp_path_factory.mktemp("sources") / "white.csv")
+    found = []
+    for reflectance in (0.5, 0.6):
+        white = {"type": "diffuse", "reflectance": reflectance}
+        settings = BEAM | {"rays": 20_000, "estimator": "analog"}
+        records = [gonio.measure(white, 30, seed=s, **settings) for s in (1, 2, 3)]
+        gonio.export(records[1], path)
+        measured, fit = gonio.read_measured(path), gonio.fit(records[2], "diffuse")
+        found.append({"specimen": white, "record": records[0]})
+        found[-1] |= {"table": measured, "fit": fit}
+    return found
+
+
+# What has no directions of its own.
+ANYWHERE = ("specimen", "fit")
+
+
+@pytest.mark.parametrize("second", ["specimen", "record", "table", "fit"])
+@pytest.mark.parametrize("first", ["specimen", "record", "table", "fit"])
+def test_any_two_are_compared(first, second, sources):
+    """In either order, if one has directions; twin: of another reflectance."""
+    right, wrong = sources
+    if first in ANYWHERE and second in ANYWHERE:
+        with pytest.raises(TypeError):
+            gonio.compare(right[first], right[second])
+        return
+    agree(of_comparison(gonio.compare(right[first], right[second])))
+    disagree(of_comparison(gonio.compare(right[first], wrong[second])))
+
+
+@pytest.mark.parametrize("source", ["specimen", "record", "table"])
+def test_any_of_them_is_fitted(source, sources):
+    fit = gonio.fit(sources[0][source], "diffuse")
+    assert abs(fit.values[0] - 0.5) < 5 * np.nan_to_num(fit.std_errs[0]) + 1e-4
+
+
 def test_every_source_has_quantities():
     """0.5 of a Lambertian: its specimen, a record, a table and a fit."""
     white = {"type": "diffuse", "reflectance": 0.5}
