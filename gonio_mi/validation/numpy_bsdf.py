@@ -107,6 +107,8 @@ def from_numpy(
         def to_string(self) -> str:
             return "Adapter[]"
 
+    # the plugin of whoever wrote the functions, which read values, and none of ours
+    Adapter.__module__ = "from_numpy"
     return Adapter(mi.Properties("adapter"))
 
 

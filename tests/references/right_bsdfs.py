@@ -60,6 +60,9 @@ KNOWN = {
     "normal map": {"reciprocity", "flags"},
     "mask": {"sampling", "masks", "flags"},
     "null": {"masks"},
+    "pane of index 3": {"parameters"},
+    "plastic": {"parameters"},
+    "plastic of index 3": {"parameters"},
     "principled": {"flags", "components"},
     "principled metal": {"flags", "components"},
     "two BSDFs": {"flags", "components"},
@@ -70,7 +73,8 @@ KNOWN = {
 def textured():
     """Right BSDFs that need a variant when they are made: maps, and what holds others.
 
-    Failures of `KNOWN` are those of a nicety, or a property of the model.
+    Failures of `KNOWN` are those of a nicety, a property of the model, or a defect of a
+    stock plugin, such as the gradients of discrete lobes.
     """
     noise = np.random.default_rng(5).uniform(0.1, 0.9, (8, 8, 1))
     heights, normals = np.linspace(0, 0.3, 16), np.tile([0.55, 0.5, 0.99], 4)

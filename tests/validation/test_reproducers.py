@@ -95,14 +95,14 @@ def test_a_script_says_whether_a_defect_is_there(name, changes, remains):
 # Of each broken plugin all properties that fail, the worst first.
 FAIL = {
     "eval_nan_at_grazing": "answers ends sampled_weight reciprocity",
-    "eval_without_cosine": "reciprocity weights sampled_weight energy",
+    "eval_without_cosine": "reciprocity sampled_weight weights energy",
     "pdf_uniform": "sampled_pdf sampling",
     "sample_not_unit": "directions ends weights sampling",
     "eval_without_pi": "sampled_weight weights energy",
     "eval_ignores_active": "masks",
     "discrete_pdf_not_probability": "delta components",
     "flags_of_another_lobe": "flags",
-    "eval_ignores_component": "components weights sampled_weight",
+    "eval_ignores_component": "components sampled_weight weights",
     "eval_other_at_normal": "continuity reciprocity",
     "importance_with_eta2": "reciprocity adjoint",
     "gradient_detached": "parameters",

@@ -142,7 +142,8 @@ class InterpolatedBSDF:
             total += sum(flux for *_, flux in self._fluxes(place, enabled))
             brdf = self.lobes.values(place, hemisphere, point, wanted)
             value = [a + place.weight * b for a, b in zip(value, brdf)]
-        return value, total, wanted
+        # differences of what is moved may round to less than 0
+        return [dr.maximum(one, 0) for one in value], total, wanted
 
     def _fluxes(
         self, place: Place, enabled: tuple[bool, bool]
