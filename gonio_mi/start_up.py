@@ -16,6 +16,9 @@ PROGRAM = "gonio-mi"
 WITHOUT_MITSUBA = ("", "help", "show", "plot", "report")
 INTERRUPTED = 130  # as shells count: 128 and the number of SIGINT
 
+# Whether this process is the program, which searches for no garbage while it imports.
+_begun = False
+
 
 def begin() -> None:
     """Let Ctrl-C end the process while it imports; NumPy gets no threads.
@@ -34,6 +37,8 @@ def begin() -> None:
         return
     # its matrices are small here, and threads that wait for them take CPU time
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    global _begun
+    _begun = True
     gc.disable()
     atexit.register(gc.freeze)
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
@@ -57,9 +62,13 @@ def command_of(arguments: Sequence[str]) -> str:
 
 
 def end() -> None:
-    """Let Ctrl-C raise KeyboardInterrupt again, and what follows be cleared away."""
-    gc.freeze()
-    gc.enable()
+    """Let Ctrl-C raise KeyboardInterrupt again, and what follows be cleared away.
+
+    A process that calls the command line itself keeps its garbage, and its search.
+    """
+    if _begun:
+        gc.freeze()
+        gc.enable()
     if signal.getsignal(signal.SIGINT) is _leave:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 

@@ -76,6 +76,8 @@ def tabulated(path):
 
 GIVEN = {
     "plate.csv": tabulated,
+    "ours.csv": tabulated,
+    "theirs.csv": tabulated,
     "scan.x3p": scanned,
     "heights.png": imaged,
     "pilot.npz": measured,

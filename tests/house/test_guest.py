@@ -23,6 +23,8 @@ import numpy as np
 import pytest
 
 import gonio_mi as gonio
+from gonio_mi import start_up
+from gonio_mi.cli import main
 from gonio_mi.errors import SpecimenError
 from gonio_mi.specimen.loading import load_plugin_file
 from gonio_mi.validation import pytest_entry
@@ -201,6 +203,16 @@ def test_a_line_of_pytest_is_a_guest_too(tmp_path, plugin):
         load_plugin_file(plugin)
         assert changed(before) == ["working folder", "paths of modules"]
     assert changed(before) == []
+
+
+@pytest.mark.parametrize("is_program", [False, True])
+def test_a_command_in_a_host_leaves_its_garbage(is_program, monkeypatch):
+    """The twin, the program, freezes what it has imported."""
+    frozen = []
+    monkeypatch.setattr(gc, "freeze", lambda: frozen.append("all"))
+    monkeypatch.setattr(start_up, "_begun", is_program)
+    assert main(["measure", "diffuse", "--theta-i", "30", "--rays", "100"]) == 0
+    assert bool(frozen) == is_program
 
 
 def test_measuring_in_threads_leaves_the_filters_of_warnings(monkeypatch, tmp_path):
