@@ -59,8 +59,7 @@ def from_numpy(
     """
     for name, function in (("sample", sample), ("eval", eval), ("pdf", pdf)):
         if not callable(function):
-            kind = type(function).__name__
-            raise SettingTypeError(f"{name} must be a function, got {kind}")
+            raise _no_function(name, function)
     flags = mi.BSDFFlags
     lobes = int(flags.GlossyReflection) | int(flags.FrontSide)
     lobes |= int(flags.GlossyTransmission) if transmits else 0
@@ -110,6 +109,11 @@ def from_numpy(
     # the plugin of whoever wrote the functions, which read values, and none of ours
     Adapter.__module__ = "from_numpy"
     return Adapter(mi.Properties("adapter"))
+
+
+def _no_function(name: str, thing: object) -> SettingTypeError:
+    kind = type(thing).__name__
+    return SettingTypeError(f"{name} must be a function, got {kind}")
 
 
 def _spectrum(values: ArrayLike, n: int) -> mi.Spectrum:
