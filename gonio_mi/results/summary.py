@@ -248,8 +248,12 @@ def _totals(look: Record, quantity: str) -> list[Total]:
 
 def _largest_error(totals: Sequence[Total]) -> float:
     """Half the longest interval of those that are known; `MAX_STRAY` at least."""
-    known = [one for one in totals if one.high is not None and one.low is not None]
-    return max([MAX_STRAY, *((one.high - one.low) / 2 for one in known)])
+    errors = [
+        (one.high - one.low) / 2
+        for one in totals
+        if one.high is not None and one.low is not None
+    ]
+    return max([MAX_STRAY, *errors])
 
 
 def _worst_patches(look: Record) -> list[PatchSummary]:
