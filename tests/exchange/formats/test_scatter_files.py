@@ -584,6 +584,7 @@ def test_an_azimuth_of_360_is_that_of_0(tmp_path):
     stream = io.BytesIO()
     everything = Scatter.__new__(Scatter)  # as others write it, with both
     object.__setattr__(everything, "blocks", turned)
+    object.__setattr__(everything, "channels", first.channels)
     zemax.write(everything, stream, "a")
     path = tmp_path / "a.bsdf"
     path.write_bytes(stream.getvalue())
