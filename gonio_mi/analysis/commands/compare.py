@@ -25,6 +25,7 @@ differ by more than chance explains; 2: patches cannot decide it.
 import re
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
+from math import hypot
 from pathlib import Path
 from typing import Any
 
@@ -125,7 +126,8 @@ def run(options: Namespace) -> int:
     said: list[Any] = [comparison]
     try:
         if options.budget is not None:
-            said.append(_budget(comparison, specimen, other, settings, options))
+            sides = record, other
+            said.append(_budget(comparison, specimen, sides, settings, options))
             said[-1].save(options.budget)
     finally:  # also if the effect of the aperture cannot be told
         if options.json:
@@ -209,21 +211,25 @@ def _record_and_specimen(options: Namespace, other: Any) -> tuple[Any, Any, Any]
 def _budget(
     comparison: Any,
     specimen: Any,
-    other: Any,
+    sides: tuple[Any, Any],
     settings: dict[str, Any],
     options: Namespace,
 ) -> Any:
     """Uncertainty budget of a comparison, with the aperture's effect if there is one.
 
-    The `settings` are those with which a specimen was measured.
+    Common factors of two tables are one. The `settings` are those with which a specimen
+    was measured.
     """
     from ...files.measured_table import MeasuredTable
     from ..comparison import aperture_effect, uncertainty_budget
 
-    aperture, scale = None, options.scale_uncertainty
+    (record, other), aperture, scale = sides, None, options.scale_uncertainty
     if isinstance(other, MeasuredTable):
         scale = other.scale_uncertainty if scale is None else scale
         in_patches = options.aperture_half_angle is None and other.patches is not None
         if specimen is not None and not in_patches:
             aperture = aperture_effect(specimen, other, comparison, **settings)
-    return uncertainty_budget(comparison, scale or 0.0, aperture)
+    scale = scale or 0.0
+    if isinstance(record, MeasuredTable):
+        scale = hypot(scale, record.scale_uncertainty)
+    return uncertainty_budget(comparison, scale, aperture)

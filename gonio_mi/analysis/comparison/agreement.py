@@ -36,7 +36,9 @@ class Variation:
 
 @dataclass(eq=False)
 class PointPairs:
-    """Points of two sides at the same places, under one incident direction.
+    """Points of two sides at the same places, whose errors go together.
+
+    Of a record those of one incident direction.
 
     Of the uncertainty of a common factor, which :func:`judge` fits, `other` has no
     part.
@@ -45,7 +47,7 @@ class PointPairs:
     columns: dict[str, Any]  # directions and channel of the points
     mine: Points
     other: Points
-    weight: Floats  # of each point in a total, in sr
+    weight: Floats  # of each point in a total: in sr, or cosines of rows of tables
     total_of: list[Any]  # to which total each point belongs
     variation: Variation | None = None  # of means over patches beside points
     sharing: int = 1  # how many sets may have one noise, as copies of one direction

@@ -32,7 +32,8 @@ class Budget:
     comparison : Comparison
     rays : ndarray of float64, shape (n_points,)
         Of the record in 1/sr, as all of these: chance, from its batches, or what its
-        integrals may be wrong by. NaN where there was no hit.
+        integrals may be wrong by. NaN where there was no hit. Of a table or a fit that
+        comes first, its own error.
     single_precision : ndarray
         A few roundings of the value.
     instrument : ndarray
@@ -110,7 +111,8 @@ def uncertainty_budget(
     ----------
     comparison : Comparison
     scale_uncertainty : float
-        With which it was made: relative, of a factor common to the other's values.
+        With which it was made: relative, of a factor common to the other's values. Of
+        two tables that have one each, the root of the sum of both squares.
     aperture : ndarray, shape (n_points,), optional
         What :func:`aperture_effect` returns.
     """

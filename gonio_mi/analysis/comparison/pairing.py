@@ -79,7 +79,7 @@ class Detectors:
 
     @classmethod
     def of(cls, record: Record, index: int, n_hemispheres: int) -> Detectors:
-        """Those of the upper hemisphere, or of both."""
+        """Detectors of the upper hemisphere, or of both."""
         shape = n_hemispheres, record.subdivision.n_detectors, len(record.channels)
         return cls(record, index, *(a.ravel() for a in np.indices(shape)))
 

@@ -70,7 +70,7 @@ class Fit(Model):
         Part of the light that the model sends into other patches than the record; of a
         table or of apertures, half the mean difference over the mean of all values.
     predicted : ndarray, shape (n,)
-        What the model says of the values: flux fractions of the detectors of a record,
+        Values predicted by the model: flux fractions of the detectors of a record, or
         BSDF of the rows of a table.
     at_limit : tuple of str
         Parameters that would go beyond what they may be.

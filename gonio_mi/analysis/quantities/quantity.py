@@ -178,7 +178,7 @@ def quantity(
     if isinstance(specimen, Model):
         return specimen.quantity(name, phi_i=phi_i, progress=progress, **settings)
     if isinstance(specimen, Record):
-        for key in settings:
+        for key in {**settings, **({"phi_i": phi_i} if phi_i else {})}:
             raise SettingTypeError(f"{key} applies to a specimen, got a record")
         try:
             found = tuple(record_quantity(specimen, one) for one in _names(name))

@@ -371,7 +371,7 @@ def scatter_of(record: Record, specular: bool) -> Scatter:
         theta_i = float(np.clip(record.theta_i[index], 0, None))
         phi_i = float(record.phi_i[index]) % 360
         frame = Block(theta_i, phi_i, hemisphere, polar, azimuth, empty, specular)
-        # a sum that is negative by chance is no light
+        # noise may make a sum negative: it counts as no light
         means = (np.maximum(fraction, 0) / projected).reshape(n_patches, -1)
         block = replace(frame, values=_around_nodes(record, frame, means))
         total, wanted = total_of(block), np.maximum(fraction.sum(axis=(0, 1)), 0)

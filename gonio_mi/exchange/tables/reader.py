@@ -60,7 +60,7 @@ MISSING_CODES = (-99, -999, -9999)
 # A wavelength that is a column's is at most this far in nm from the one asked for.
 WAVELENGTH_ROUNDING = 1e-6
 
-# Wavelengths below this need a unit: no light has so few nm.
+# Numbers below this are no wavelengths in nm, and need a unit.
 MIN_NM = 20
 
 # Degrees from 90 within which a direction is the horizon: that of 1.5708 rad is.

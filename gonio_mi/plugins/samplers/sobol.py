@@ -107,7 +107,7 @@ class Sobol(mi.Sampler):
     ) -> None:
         """Draw the numbers of other points, from their first.
 
-        Their indices are ``index ^ beside`` where the latter, below 16, is given.
+        If `beside`, a number below 16, is given, their indices are ``index ^ beside``.
         """
         self.index, self.key, self.draw = index, key, mi.UInt32(0)
         self.beside = beside

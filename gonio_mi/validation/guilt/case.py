@@ -1,4 +1,4 @@
-"""What is known of a plugin that fails, by which hypotheses say when they apply."""
+"""Facts about a failing plugin, which decide what hypotheses apply."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ class Case:
 
     @cached_property
     def asymmetries(self) -> list[Breach]:
-        """Breaches by which ``eval`` of the whole is not reciprocal."""
+        """Breaches of reciprocity by ``eval`` of all components."""
         found = self.evidence.of("reciprocity")
         return [b for b in found if b.guess.functions is EVAL and b.effect == MODEL]
 

@@ -61,12 +61,12 @@ def suspect(name: str) -> Hypothesis:
 
 
 def light_of(functions: Function) -> Hypothesis:
-    """What the ratio of weight times pdf to ``eval`` tells of one of them, or both."""
+    """Guess about one or both from the ratio of weight times pdf to ``eval``."""
     return lambda case: case.light.blame(functions)
 
 
 def density_of(function: Function) -> Hypothesis:
-    """What the ratio of the pdf of `sample` to ``pdf`` tells of one of them."""
+    """Guess about one of them from the ratio of the pdf of `sample` to ``pdf``."""
     return lambda case: case.densities.blame(function)
 
 

@@ -60,7 +60,7 @@ QUESTIONS: tuple[tuple[str, int, str, tuple[Any, ...]], ...] = (
 # How it is shown where a plugin that holds has no finding to be shown.
 CLAIMS = {"parameters": Claim(weight_slopes, most_apart)}
 
-# What is asked of surfaces only: no phase function of Mitsuba heeds a mask or has
+# What is asked of surfaces only: no phase function of Mitsuba obeys a mask or has
 # discrete lobes, and microflakes are reciprocal with their projected area.
 OF_SURFACES = ("components", "flags", "masks", "parameters", "reciprocity")
 
