@@ -211,7 +211,7 @@ def _way_back(
 ) -> tuple[float, float, float] | None:
     """Logarithms for a sample: f there over f back, the ratio of weights back, slack.
 
-    That ratio is a linear function of the direction near by; what is left is slack.
+    That ratio is taken as linear in the direction nearby; the residual is the slack.
     """
     wi, wo = samples.condition.wi, samples.wo[k]
     there = samples.eval[k].sum() / abs(wo[2])
