@@ -120,7 +120,7 @@ def test_two_tables_by_command(tmp_path, capsys):
     budget = str(tmp_path / "budget.csv")
     assert main(["compare", *paths, "--budget", budget]) == 0
     assert "verdict     agree" in capsys.readouterr().out
-    # of two tables with 1 % each, beside independent errors of 2 %; six digits of a text
+    # of two tables with 1 % each, beside independent 2 %; six digits of a text
     value = gonio.read_measured(paths[1]).value
     told = np.genfromtxt(budget, names=True, delimiter=",")
     common = 0.01 * 2**0.5 * value
