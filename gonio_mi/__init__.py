@@ -20,7 +20,10 @@ llvm.prepare()
 
 if start_up.needs_mitsuba():
     try:
-        from . import plugins  # noqa: F401
+        from .loops import mitsubas_made_late
+
+        with mitsubas_made_late():
+            from . import plugins  # noqa: F401
     except NameError as error:
         start_up.name_missing_library(error)
         raise

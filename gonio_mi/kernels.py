@@ -10,7 +10,6 @@ import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ContextDecorator
-from typing import Any, TypeVar, cast
 
 import drjit as dr
 import mitsuba as mi
@@ -18,8 +17,6 @@ import mitsuba as mi
 from .errors import LostRaysError, VariantError
 from .threads import drjit_lock
 from .variants import check_variant, is_parallel_unpolarised
-
-Recorded = TypeVar("Recorded", bound=Callable[..., Any])
 
 # Variants at the entrances of the contexts that are open, with the thread that is in
 # them, and the variant that each thread has set last.
@@ -89,23 +86,6 @@ class launches_kernels(ContextDecorator):  # noqa: N801
             # no variable of this very frame may hold what holds the frame
             del error, _
             drjit_lock.release()
-
-
-def syntax(function: Recorded) -> Recorded:
-    """Function with loops that Dr.Jit records, as ``dr.syntax`` makes it.
-
-    To do so takes up to 25 ms: it is done when the function is first called.
-    """
-
-    @functools.cache
-    def transformed() -> Recorded:
-        return dr.syntax(function)
-
-    @functools.wraps(function)
-    def call(*values: Any, **named: Any) -> Any:
-        return transformed()(*values, **named)
-
-    return cast("Recorded", call)
 
 
 def in_memory(numbers: Iterable[float]) -> list[mi.Float]:

@@ -231,6 +231,7 @@ def set_variant(variant: str, variants: Sequence[str] = ()) -> None:
     """Set one of some Mitsuba variants; by default of those that measure."""
     import mitsuba as mi
 
+    from ..loops import mitsubas_made_late
     from ..variants import unpolarised_variants
 
     usable = variants or unpolarised_variants()
@@ -242,7 +243,8 @@ def set_variant(variant: str, variants: Sequence[str] = ()) -> None:
     if variant.startswith("llvm"):
         llvm.check()
     try:
-        mi.set_variant(variant)
+        with mitsubas_made_late():
+            mi.set_variant(variant)
     except ImportError as error:
         raise VariantError(
             f"the variant {variant} does not work on this machine: {error}"

@@ -19,7 +19,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..array_types import Floats, Integers
-from ..kernels import syntax
+from ..loops import syntax
 from ..mitsuba_compat import FRAME, PARTIALS, has_normals, mesh_of, triangles_of
 from ..specimen.rays import NEARBY, with_normal
 from ..specimen.scene_objects import traversed

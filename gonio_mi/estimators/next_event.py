@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import SpecimenError
-from ..kernels import syntax
+from ..loops import syntax
 from ..single_precision import FEW_ROUNDINGS
 from ..specimen.rays import Flight, departure, escapes
 from ..transport.exits import Exits

@@ -19,7 +19,7 @@ import numpy as np
 
 from ..array_types import Floats
 from ..errors import LABEL, SpecimenError, abridged
-from ..kernels import syntax
+from ..loops import syntax
 from ..mitsuba_compat import PARTIALS
 from ..results.estimates import MIN_EVEN_HITS, Estimates
 from ..results.statistics import student_interval, student_score

@@ -19,7 +19,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from ..kernels import syntax
+from ..loops import syntax
 from ..mitsuba_compat import FRAME, MINIMAL
 
 # How far a ray starts off its surface, in units of the local coordinates: 64 ulp. Off a

@@ -17,7 +17,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from ..kernels import syntax
+from ..loops import syntax
 from .surface_events import flux_context, is_delta
 
 # Derivatives of a value follow the graph of its function, which stays.

@@ -18,7 +18,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from ..kernels import syntax
+from ..loops import syntax
 from ..mitsuba_compat import PARTIALS
 from ..results.tally import Fate
 from ..specimen.media import differ_by_channel

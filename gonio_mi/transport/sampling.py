@@ -12,7 +12,7 @@ import numpy as np
 
 from ..array_types import Numbers
 from ..errors import SpecimenError
-from ..kernels import syntax
+from ..loops import syntax
 from .sobol_points import BESIDE_BITS
 
 # Plugin names of the class names, which is all that a sampler knows.

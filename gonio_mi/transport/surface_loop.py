@@ -8,7 +8,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from ..kernels import syntax
+from ..loops import syntax
 from ..mitsuba_compat import PARTIALS
 from ..results.tally import Fate
 from ..specimen.plane import Plane, repeated

@@ -17,6 +17,7 @@ CORE = (
     "array_types",
     "errors",
     "start_up",
+    "loops",
     "llvm",
     "annexes",
     "progress",
