@@ -1,5 +1,6 @@
 """A progress bar on standard error, or lines where that is no terminal."""
 
+import functools
 import math
 import shutil
 import sys
@@ -8,8 +9,6 @@ import time
 from collections.abc import Callable, Collection, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any, TypeVar
-
-from tqdm import tqdm
 
 from .errors import abridged, warn
 
@@ -39,19 +38,19 @@ def bar(
     notebook = type(sys.stderr).__module__.startswith("ipykernel")
     in_place = sys.stderr.isatty() or notebook
     if not in_place:
-        return _Lines(leave=False, **how)
+        return _Lines(**how)
     said = how.get("desc")
     if said and how.get("total") is not None:
         columns = shutil.get_terminal_size((80, 24)).columns
         how["desc"] = abridged(said, max(columns - COUNTS, COUNTS))
         shape = "{desc}: |{bar}| {n_fmt}/{total_fmt}, {remaining} left"
         how.setdefault("bar_format", shape)
-    return _Bar(leave=False, miniters=1, **how)
+    return _Bar(**how)
 
 
 def note(text: str) -> None:
     """Write a line on standard error, beside bars."""
-    _Bar.write(text, file=sys.stderr)
+    _drawn_bar().write(text, file=sys.stderr)
 
 
 def counted(items: Collection[T], shown: bool, **how: Any) -> Iterator[T]:
@@ -104,26 +103,76 @@ class Announcement:
             )
 
 
-class _Bar(tqdm):
-    """Progress bar whose context is its function to report."""
+class _Progress:
+    """Context of the function to report to, which counts.
 
-    monitor_interval = 0  # no thread of tqdm's own
+    Attributes
+    ----------
+    n : float
+        What is done, with what was before.
+    started : float
+        Time of the monotonic clock.
+    """
+
+    def __init__(self, initial: float = 0, **how: Any) -> None:
+        self.n, self.initial, self.how = initial, initial, how
+        self.started = math.nan
 
     def __enter__(self) -> Callable[[float], Any]:
-        super().__enter__()
-        return self.update
+        self.started = time.monotonic()
+        return self.report
 
-    @property
-    def format_dict(self) -> dict[str, Any]:
-        """What is shown, in whole numbers of what is counted."""
-        return super().format_dict | {"n": round(self.n)}
+    def report(self, n: float) -> None:
+        """Count so many more, and show it if it is time."""
+        self.n += n
+        self.show()
+
+    def show(self) -> None:
+        """Show what is done, if it is time."""
+        raise NotImplementedError
 
 
-# of this process only: locks between processes are slow to import
-_Bar.set_lock(threading.RLock())
+class _Bar(_Progress):
+    """Progress in place, drawn by tqdm once `delay` seconds have passed."""
+
+    drawn: Any = None
+
+    def __enter__(self) -> Callable[[float], Any]:
+        report = super().__enter__()
+        if not self.how.get("delay"):
+            self.show()
+        return report
+
+    def show(self) -> None:
+        """Draw it, in whole numbers of what is counted."""
+        waited = time.monotonic() - self.started
+        if self.drawn is None and waited >= self.how.get("delay", 0):
+            how = {"leave": False, "miniters": 1, "initial": self.initial}
+            self.drawn = _drawn_bar()(**how | self.how)
+            self.drawn.start_t -= waited
+            self.drawn.last_print_t -= waited
+        if self.drawn is not None:
+            self.drawn.update(round(self.n) - self.drawn.n)
+
+    def __exit__(self, *_: object) -> None:
+        if self.drawn is not None:
+            self.drawn.close()
 
 
-class _Lines(_Bar):
+@functools.cache
+def _drawn_bar() -> Any:
+    """Class of tqdm's bars, which takes a tenth of a second to import."""
+    from tqdm import tqdm
+
+    class Bar(tqdm):
+        monitor_interval = 0  # no thread of tqdm's own
+
+    # of this process only: locks between processes are slow to import
+    Bar.set_lock(threading.RLock())
+    return Bar
+
+
+class _Lines(_Progress):
     """Progress in lines, of which the first comes after a while.
 
     Attributes
@@ -135,39 +184,44 @@ class _Lines(_Bar):
 
     written = alive = -PAUSE
 
-    def __init__(self, **how: Any) -> None:
-        self._ended = threading.Event()
-        now = time.monotonic()
-        if now - _Lines.alive > PAUSE:
-            _Lines.written = now
-        _Lines.alive = now
-        shape = "{desc}{n_fmt} of {total_fmt} {unit}s, {remaining} left"
-        if how.get("total") is None:
-            shape = "{desc}{n_fmt} {unit}s, {elapsed} so far"
-        if how.get("desc"):
-            shape = shape.replace("{desc}", "{desc}: ")
-        own = {"bar_format": shape, "mininterval": 0, "miniters": 1, "delay": 0}
-        super().__init__(**how | own)
-
     def __enter__(self) -> Callable[[float], Any]:
+        report = super().__enter__()
+        if self.started - _Lines.alive > PAUSE:
+            _Lines.written = self.started
+        _Lines.alive = self.started
+        self._ended = threading.Event()
         threading.Thread(target=self._watch, name=WATCH, daemon=True).start()
-        return super().__enter__()
+        return report
 
     def _watch(self) -> None:
         """Write also while nothing is reported."""
         while not self._ended.wait(PAUSE):
-            self.display()
+            self.show()
 
-    def display(self, *_: Any, **__: Any) -> None:
+    def show(self) -> None:
         """Write a line, if it is time."""
         now = _Lines.alive = time.monotonic()
         if now - _Lines.written >= PAUSE:
             _Lines.written = now
-            print(self, file=sys.stderr, flush=True)
+            print(self._line(now - self.started), file=sys.stderr, flush=True)
 
-    def close(self) -> None:
-        """End; there is nothing to wipe out, and no place on a terminal is kept."""
-        if not self._ended.is_set():
-            self._decr_instances(self)
-        self.disable = True
+    def _line(self, elapsed: float) -> str:
+        """What is done, in words."""
+        total, said = self.how.get("total"), self.how.get("desc") or ""
+        shape = "{n_fmt} of {total_fmt} {unit}s, {remaining} left"
+        if total is None:
+            shape = "{n_fmt} {unit}s, {elapsed} so far"
+        line: str = _drawn_bar().format_meter(
+            round(self.n),
+            total,
+            elapsed,
+            prefix=said,
+            unit=self.how.get("unit", "it"),
+            unit_scale=self.how.get("unit_scale", False),
+            initial=self.initial,
+            bar_format=f"{{desc}}: {shape}" if said else shape,
+        )
+        return line
+
+    def __exit__(self, *_: object) -> None:
         self._ended.set()

@@ -10,7 +10,6 @@ import os
 import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from importlib.metadata import version
 from numbers import Integral, Real
 from os import PathLike
 from pathlib import Path
@@ -25,6 +24,7 @@ from ..errors import MAX_VALUE, FileFormatError, SettingError, abridged_apart
 from ..files.writing import remove_forgotten
 from ..results.record import Record
 from ..specimen.loading import existing
+from ..version import __version__
 from .tasks import Task
 
 logger = logging.getLogger(__name__)
@@ -69,7 +69,7 @@ class CampaignFolder(contextlib.ExitStack):
         self.common = {
             "variant": tasks[0].variant,
             "versions": {
-                "gonio_mi": version("gonio-mi"),
+                "gonio_mi": __version__,
                 "mitsuba": mi.__version__,
                 "drjit": dr.__version__,
             },

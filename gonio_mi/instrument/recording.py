@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import datetime
-import platform
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cache
-from importlib.metadata import version
 from typing import Any
 
 import drjit as dr
@@ -33,6 +31,7 @@ from ..transport.launch import transport_of
 from ..transport.sampling import sampler_name
 from ..transport.setup import Setup
 from ..variants import processor
+from ..version import __version__
 from .schedule import Target, rays_sent, rounds
 
 # Light is said to be created where the intervals of this level begin above all that
@@ -204,10 +203,6 @@ def _warn_of_created_light(stack: Record) -> None:
 MAX_NUMBERS = 4
 
 
-# Looked up in the files of the installed package, once.
-_version = cache(version)
-
-
 def settings_and_provenance(setup: Setup) -> tuple[MeasurementSettings, Provenance]:
     """What was asked for of a measurement, and how it came about."""
     settings, specimen = setup.settings, setup.specimen
@@ -236,11 +231,11 @@ def settings_and_provenance(setup: Setup) -> tuple[MeasurementSettings, Provenan
         passes=len(setup.passes),
         variant=mi.variant(),
         versions={
-            "gonio_mi": _version("gonio-mi"),
+            "gonio_mi": __version__,
             "mitsuba": mi.__version__,
             "drjit": dr.__version__,
             "numpy": np.__version__,
-            "python": platform.python_version(),
+            "python": sys.version.split()[0],
         },
         processors=(processor(),),
         created=datetime.datetime.now(datetime.timezone.utc).isoformat("T", "seconds"),

@@ -14,6 +14,7 @@ PACKAGE = Path(__file__).parents[2] / "gonio_mi"
 # The core from the bottom upwards: each room imports only from itself and from those
 # above it in this list.
 CORE = (
+    "version",
     "array_types",
     "errors",
     "start_up",

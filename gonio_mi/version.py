@@ -1,0 +1,3 @@
+"""The version of this package, where the build reads it, too."""
+
+__version__ = "1.0.0rc1"
