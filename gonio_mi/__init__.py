@@ -5,11 +5,11 @@ instrument's Mitsuba plugins, before or after ``mi.set_variant``. It never sets 
 variant. What it offers is imported when it is first used.
 """
 
-import ast
-from pathlib import Path
+import functools
 from typing import Any
 
 from . import start_up
+from .version import __version__ as __version__
 
 start_up.begin()
 
@@ -28,27 +28,31 @@ if start_up.needs_mitsuba():
         start_up.name_missing_library(error)
         raise
 
-# The stub for type checkers says which module each public name is of.
-_stub = ast.parse(Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
-OFFERS = {
-    name.name: statement.module
-    for statement in _stub.body
-    if isinstance(statement, ast.ImportFrom)
-    for name in statement.names
-    if not is_missing(statement.module or "")
-}
 
-__all__ = sorted(OFFERS)
+@functools.cache
+def _offers() -> dict[str, str]:
+    """Module of each public name, as the stub for type checkers says."""
+    import ast
+    from pathlib import Path
+
+    stub = ast.parse(Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
+    return {
+        name.name: statement.module or ""
+        for statement in stub.body
+        if isinstance(statement, ast.ImportFrom)
+        for name in statement.names
+        if not is_missing(statement.module or "")
+    }
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name; ``__version__`` is that of the installed package."""
-    if name == "__version__":
-        from importlib import metadata  # slow to import
-
-        return metadata.version("gonio-mi")
+    """Import a public name; what there is, is looked up when it is first asked for."""
+    if name == "OFFERS":
+        return _offers()
+    if name == "__all__":
+        return sorted(_offers())
     return attribute(__name__, name)
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *_offers()})

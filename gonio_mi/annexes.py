@@ -10,7 +10,6 @@ does without those that are missing.
 
 import functools
 import importlib
-import importlib.util
 import sys
 from collections.abc import Iterator
 from types import ModuleType
@@ -31,6 +30,8 @@ def is_missing(module: str) -> bool:
     name = module.partition(".")[0]
     if name not in ANNEXES:
         return False
+    import importlib.util
+
     spec = importlib.util.find_spec(f".{name}", __package__)
     return spec is None or spec.origin is None
 

@@ -1,21 +1,24 @@
 """The errors a caller would act on, and the checks that word them alike."""
 
+from __future__ import annotations
+
 import builtins
 import contextlib
-import difflib
+import functools
 import itertools
 import math
 import operator
 import os
 import re
 import sys
-import sysconfig
 import traceback
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from contextvars import ContextVar
-from pathlib import Path
-from typing import Any, NamedTuple, SupportsIndex, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, SupportsIndex, TypeVar
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 # Characters of a message, of a word in it, and of a value that it repeats.
 MAX_MESSAGE, MAX_WORD, MAX_VALUE = 400, 120, 80
@@ -160,13 +163,13 @@ class FileFormatError(SettingError):
 
 
 # How Mitsuba begins what it says when a plugin gives up, and Dr.Jit where memory ends.
-_MITSUBA = re.compile(r"\[\w+\.(cpp|h):\d+\]|jit_malloc\(\): out of memory")
+_MITSUBA = r"\[\w+\.(cpp|h):\d+\]|jit_malloc\(\): out of memory"
 
 # Lines of a traceback in a text, with the first file, and the class of its error.
-_TRACED = re.compile(r'^  File "(.+)", .*\n(?:  .*\n)*(?:\w+\.)*(\w+)', re.MULTILINE)
+_TRACED = r'(?m)^  File "(.+)", .*\n(?:  .*\n)*(?:\w+\.)*(\w+)'
 
 # How such a text ends after Ctrl-C.
-_PRESSED = re.compile(r"^KeyboardInterrupt\b.*\s*\Z", re.MULTILINE)
+_PRESSED = r"(?m)^KeyboardInterrupt\b.*\s*\Z"
 
 _USERS = (
     *(LLVMError, LostRaysError, PackageError, SettingError, VariantError),
@@ -180,7 +183,7 @@ def is_the_users(error: BaseException) -> bool:
     That is what the checks of the instrument raise, what files and the memory do, and
     what Mitsuba refuses.
     """
-    refused = isinstance(error, RuntimeError) and _MITSUBA.search(str(error))
+    refused = isinstance(error, RuntimeError) and re.search(_MITSUBA, str(error))
     return isinstance(error, _USERS) or bool(refused and not tells_of_our_bug(error))
 
 
@@ -194,7 +197,7 @@ def is_ctrl_c(error: BaseException | None) -> bool:
     while error is not None and error not in seen:  # errors may be their causes' causes
         if isinstance(error, KeyboardInterrupt):
             return True
-        if isinstance(error, RuntimeError) and _PRESSED.search(str(error)):
+        if isinstance(error, RuntimeError) and re.search(_PRESSED, str(error)):
             return True
         seen.append(error)
         error = error.__cause__ or error.__context__
@@ -207,7 +210,7 @@ def tells_of_our_bug(error: BaseException) -> bool:
     Of what a plugin raises while it is loaded, only Mitsuba's text about it survives.
     The traceback in it shows the plugin's file first, after what loads it.
     """
-    traced = _TRACED.search(str(error).rpartition(", in loaded\n")[2])
+    traced = re.search(_TRACED, str(error).rpartition(", in loaded\n")[2])
     if traced is None or os.path.dirname(__file__) not in traced[1]:
         return False
     kind = globals().get(traced[2], getattr(builtins, traced[2], Exception))
@@ -233,7 +236,7 @@ def check_nothing_open(place: str, questions: Sequence[str]) -> None:
     message = f"{place}: {questions[0]}"
     if len(questions) > 1:
         each = "; ".join(f"({i}) {one}" for i, one in enumerate(questions, 1))
-        message = f"{Path(place).name} leaves open: {each}"
+        message = f"{os.path.basename(place)} leaves open: {each}"
     raise OpenQuestionsError(message, place, questions)
 
 
@@ -259,23 +262,29 @@ def frames(error: BaseException) -> list[Frame]:
 # What an installer manages, and this package; others' packages may be a user's own, or
 # those of the Python beneath a virtual environment.
 _PACKAGES = {"site-packages", "dist-packages"}
-_INSTALLED = (
-    Path(__file__).resolve().parent,
-    *(
-        Path(sysconfig.get_paths()[name]).resolve()
-        for name in ("stdlib", "platstdlib", "purelib", "platlib")
-    ),
-)
+
+
+@functools.cache
+def _installed() -> tuple[Path, ...]:
+    """Folders of this package and of what is installed."""
+    import sysconfig  # with the other slow to import
+    from pathlib import Path
+
+    names = ("stdlib", "platstdlib", "purelib", "platlib")
+    folders = (Path(sysconfig.get_paths()[name]).resolve() for name in names)
+    return Path(__file__).resolve().parent, *folders
 
 
 def is_installed(path: Path) -> bool:
     """Whether a file belongs to this package or to one that is installed."""
-    ours = any(path.is_relative_to(folder) for folder in _INSTALLED)
+    ours = any(path.is_relative_to(folder) for folder in _installed())
     return ours or not _PACKAGES.isdisjoint(path.parts)
 
 
 def own_frame(error: BaseException) -> Frame | None:
     """The innermost line of the user's own code that an error came through, if any."""
+    from pathlib import Path
+
     for frame in reversed(frames(error)):
         path = Path(frame.file).resolve()
         if path.is_file() and not is_installed(path):
@@ -379,6 +388,8 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
     Empty if none is.
     """
+    import difflib  # slow to import
+
     similar = difflib.get_close_matches(word, list(known), 1, 0.8)
     return f"; did you mean {similar[0]}?" if similar else ""
 

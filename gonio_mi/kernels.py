@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import atexit
-import ctypes
 import functools
 import threading
 import time
@@ -116,9 +115,16 @@ def _end_measurements() -> None:
     told, end = set[int](), time.monotonic() + PATIENCE
     while not drjit_lock.acquire(timeout=0.01) and time.monotonic() < end:
         for thread in {one for _, one in _entered} - told:
-            raised = ctypes.py_object(SystemExit)
-            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), raised)
+            _exit_in(thread)
             told.add(thread)
+
+
+def _exit_in(thread: int) -> None:
+    """Raise SystemExit in another thread."""
+    import ctypes  # slow to import
+
+    raised = ctypes.py_object(SystemExit)
+    ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), raised)
 
 
 def orderly(set_variant: Callable[..., None]) -> Callable[..., None]:

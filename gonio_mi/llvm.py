@@ -5,13 +5,10 @@ LLVM 15 and 16 are accepted, but abort the process at the first minimum or maxim
 """
 
 import contextlib
-import glob
 import os
-import platform
 import re
 import sys
-from dataclasses import dataclass
-from pathlib import Path
+from typing import NamedTuple
 
 from .errors import LLVMError
 
@@ -19,11 +16,10 @@ MINIMUM_VERSION = 17
 VARIABLE = "DRJIT_LIBLLVM_PATH"
 WHEEL = "karellen-llvm-core"
 
-LIBRARY_NAME = re.compile(r"libLLVM\.so\.(\d+)[.\d]*")
+LIBRARY_NAME = r"libLLVM\.so\.(\d+)[.\d]*"
 
 
-@dataclass(frozen=True)
-class LLVMStatus:
+class LLVMStatus(NamedTuple):
     """The LLVM that Dr.Jit uses, and whether it is good enough.
 
     Attributes
@@ -62,6 +58,7 @@ def prepare() -> None:
 
 def _libraries() -> list[tuple[int, str]]:
     """Versions and paths of this environment's libraries."""
+    import glob
     from importlib import metadata  # slow to import
 
     folders = {sys.prefix, sys.base_prefix}
@@ -71,7 +68,7 @@ def _libraries() -> list[tuple[int, str]]:
     with contextlib.suppress(metadata.PackageNotFoundError):
         files = metadata.distribution(WHEEL).files or ()
         paths += [os.path.abspath(file.locate()) for file in files]
-    names = [(LIBRARY_NAME.fullmatch(os.path.basename(path)), path) for path in paths]
+    names = [(re.fullmatch(LIBRARY_NAME, os.path.basename(x)), x) for x in paths]
     return [(int(name[1]), path) for name, path in names if name]
 
 
@@ -125,6 +122,8 @@ def check() -> None:
 
 def _install() -> str:
     """The line that installs a usable LLVM on this kind of machine."""
+    import platform
+
     if sys.platform == "darwin":
         return "run `brew install llvm`"
     if sys.platform == "win32":
@@ -141,8 +140,7 @@ def dotted(version: tuple[int, ...] | None) -> str:
 
 def _loaded_path() -> str | None:
     """Path of the libLLVM in this process's memory, if the system tells."""
-    with contextlib.suppress(OSError):
-        maps = Path("/proc/self/maps").read_text()
-        if found := re.search(r"/.*/libLLVM[-.].*$", maps, re.MULTILINE):
+    with contextlib.suppress(OSError), open("/proc/self/maps") as maps:
+        if found := re.search(r"/.*/libLLVM[-.].*$", maps.read(), re.MULTILINE):
             return found[0]
     return os.environ.get(VARIABLE)

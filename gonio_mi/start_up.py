@@ -6,7 +6,6 @@ Python scripts that import the package are left as they are.
 import atexit
 import gc
 import os
-import signal
 import sys
 from collections.abc import Sequence
 from typing import NoReturn
@@ -39,6 +38,8 @@ def begin() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     global _begun
     _begun = True
+    import signal  # slow to import
+
     gc.disable()
     atexit.register(gc.freeze)
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
@@ -66,6 +67,8 @@ def end() -> None:
 
     A process that calls the command line itself keeps its garbage, and its search.
     """
+    import signal
+
     if _begun:
         gc.freeze()
         gc.enable()

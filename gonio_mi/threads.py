@@ -1,13 +1,17 @@
 """How many threads Dr.Jit has, and which of Python's it works for."""
 
+from __future__ import annotations
+
 import contextlib
-import ctypes
 import os
 import threading
 from collections.abc import Iterator
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import drjit as dr
+
+if TYPE_CHECKING:
+    import ctypes
 
 # Dr.Jit records side effects, such as the sums of a tally, in one state for all
 # threads: one at a time records and launches kernels, or changes what they depend on.
@@ -80,6 +84,8 @@ def _helper() -> Iterator[None]:
     It never sleeps: in a forked process Dr.Jit may take a thread of the parent for
     awake, and wake no other.
     """
+    import ctypes  # slow to import
+
     library, leave = _nanothread(), ctypes.create_string_buffer(2)
     is_over = ctypes.cast(ctypes.CDLL(None).strlen, ctypes.c_void_p)  # once not empty
     how = None, is_over, leave
@@ -94,6 +100,9 @@ def _helper() -> Iterator[None]:
 
 def _nanothread() -> ctypes.CDLL:
     """The library whose threads are Dr.Jit's."""
+    import ctypes
+    from pathlib import Path
+
     (path,) = Path(dr.__file__).parent.glob("*nanothread.[sd][oyl]*")
     return ctypes.CDLL(str(path))
 

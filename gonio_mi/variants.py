@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import ctypes
-import platform
 from collections.abc import Callable
-from pathlib import Path
 
 import drjit as dr
 import mitsuba as mi
@@ -101,6 +98,10 @@ def target() -> tuple[str, int | None]:
     Dr.Jit tells no Python function of it; where its library is another one, the name
     is the machine's and the width None.
     """
+    import ctypes  # with the others slow to import
+    import platform
+    from pathlib import Path
+
     try:
         core = ctypes.CDLL(str(Path(dr.__file__).parent / "libdrjit-core.so"))
         name, width = core._Z19jit_llvm_target_cpuv, core._Z21jit_llvm_vector_widthv

@@ -163,7 +163,7 @@ def test_named_but_not_loaded(before_drjit, tmp_path, make, ours):
 )
 def test_nothing_found(before_drjit, system, machine, line):
     before_drjit.setattr(sys, "platform", system)
-    before_drjit.setattr(llvm.platform, "machine", lambda: machine)
+    before_drjit.setattr("platform.machine", lambda: machine)
     before_drjit.setattr(llvm, "_libraries", list)
     llvm.prepare()
     assert VARIABLE not in os.environ
