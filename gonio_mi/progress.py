@@ -2,7 +2,6 @@
 
 import functools
 import math
-import shutil
 import sys
 import threading
 import time
@@ -41,6 +40,8 @@ def bar(
         return _Lines(**how)
     said = how.get("desc")
     if said and how.get("total") is not None:
+        import shutil  # slow to import
+
         columns = shutil.get_terminal_size((80, 24)).columns
         how["desc"] = abridged(said, max(columns - COUNTS, COUNTS))
         shape = "{desc}: |{bar}| {n_fmt}/{total_fmt}, {remaining} left"

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import inspect
-from concurrent.futures import Executor
 from os import PathLike
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
@@ -16,6 +15,9 @@ from ..results.record import Record
 from ..results.summary import lost_light
 from ..settings import MeasurementSettings, declarations, numpydoc
 from ..specimen.specimen_text import SpecimenLike
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
 
 
 def measure(

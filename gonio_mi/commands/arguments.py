@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -293,6 +292,8 @@ def tell(result: object) -> None:
 
 def tell_json(result: Any) -> None:
     """Print a result of JSON's types, for ``--json``."""
+    import json
+
     print(json.dumps(result, indent=2, allow_nan=False))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import shutil
 import signal
 import threading
 from argparse import Namespace
@@ -12,7 +11,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from ..campaigns.folder import folder_name
 from ..errors import checked_count
 from ..results.record import Record
 from .arguments import INCOMPLETE, Group, add_number, add_text, say
@@ -106,10 +104,12 @@ class CampaignParts:
     def __init__(self, options: Namespace) -> None:
         self.folder: Path | None = None
         if options.tolerance is not None and not options.folder and options.output:
+            from ..campaigns.folder import folder_name  # slow to import
+
+            self.name = folder_name(options.specimen)
             self.folder = Path(f"{options.output[0]}.parts")
             self._was_there = self.folder.exists()
             options.folder = str(self.folder)
-        self.name = folder_name(options.specimen)
         self.finished = False
 
     def __enter__(self) -> CampaignParts:
@@ -121,6 +121,8 @@ class CampaignParts:
         interrupted = kind is not None and not issubclass(kind, Exception)
         refused = kind is not None and not interrupted and not self._was_there
         if self.finished or refused:
+            import shutil  # slow to import
+
             shutil.rmtree(self.folder / self.name, ignore_errors=True)
             with contextlib.suppress(OSError):  # what else is in it is not ours
                 self.folder.rmdir()

@@ -4,7 +4,6 @@ import contextlib
 import errno
 import io
 import os
-import secrets
 import stat
 import time
 from collections.abc import Iterator, Sequence
@@ -177,4 +176,4 @@ def _target(path: str | os.PathLike[str]) -> Path:
 
 def _partial(target: Path) -> Path:
     """A fresh name in the same folder."""
-    return target.with_name(f"{PREFIX}{secrets.token_hex(8)}{SUFFIX}")
+    return target.with_name(f"{PREFIX}{os.urandom(8).hex()}{SUFFIX}")

@@ -6,7 +6,6 @@ its standard error (:func:`standard_error_rays`), or its error, of all patches a
 (:func:`relative_rays`). Both need the patches' probabilities.
 """
 
-import html
 import math
 from dataclasses import dataclass
 
@@ -132,6 +131,8 @@ class Plan:
     source: str
 
     def _repr_html_(self) -> str:
+        import html  # whose table of entities is slow to import
+
         return f"<pre>{html.escape(str(self))}</pre>"
 
     def __str__(self) -> str:

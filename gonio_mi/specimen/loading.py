@@ -9,7 +9,6 @@ import linecache
 import os
 import re
 import sys
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from os import PathLike
 from pathlib import Path
@@ -546,6 +545,8 @@ def _scene_names(
         )
     if len(within) > MAX_INCLUDES:
         return
+    from xml.etree import ElementTree  # slow to import
+
     try:
         root = ElementTree.parse(path).getroot()
     except (ElementTree.ParseError, OSError, ValueError, LookupError):

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
-import subprocess
 import sys
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -142,6 +139,10 @@ def _foreign(path: Path, formats: str) -> HeightMap:
 
 def read_apart(path: str, formats: Sequence[str]) -> tuple[dict[str, Any], Floats]:
     """:func:`~gonio_mi.surfaces.height_map_reader.read` in a process of its own."""
+    import json  # with the others slow to import
+    import subprocess
+    import tempfile
+
     program = Path(__file__).with_name("height_map_reader.py")
     # threads of a linear algebra that is not needed take address space
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}

@@ -1103,7 +1103,7 @@ def test_a_warning_is_told_once_by_each_command(capsys, monkeypatch):
         return 0
 
     parsed = SimpleNamespace(parse_args=lambda _: SimpleNamespace(run=campaign))
-    monkeypatch.setattr(cli, "parser", lambda _: parsed)
+    monkeypatch.setattr(cli, "parser", lambda *_: parsed)
     for _ in range(2):
         assert cli.main(["measure"]) == 0
         told = capsys.readouterr().err.splitlines()
