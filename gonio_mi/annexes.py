@@ -4,8 +4,8 @@ The ``__init__`` of a package is its door. ``OFFERS`` says in which module each 
 that others ask for: packages below this one, which may not import it, and users of a
 package that must be imported quickly. The door of an annex also has ``COMMANDS``, the
 summary of each command by its name, a module of the annex's ``commands``; and
-``PLUGINS``, modules of Mitsuba plugins. The core imports no annex in any other way, and
-does without those that are missing.
+``PLUGINS``, the family of each Mitsuba plugin by the name of its module. The core
+imports no annex in any other way, and does without those that are missing.
 """
 
 import functools

@@ -6,7 +6,7 @@ COMMANDS = {
     "fit": "Find the parameters of a BSDF from a record or a measured table.",
     "chart": "Chart speed against accuracy for a specimen.",
 }
-PLUGINS: tuple[str, ...] = ()
+PLUGINS: dict[str, str] = {}
 OFFERS = {
     "chart_view": "charts.figure",
     "micro_normals": "micro_normals",

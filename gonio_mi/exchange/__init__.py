@@ -4,7 +4,7 @@ COMMANDS = {
     "bsdf": "Write the BSDF file of a window layer, blind or film.",
     "export": "Write a record for other tools.",
 }
-PLUGINS: tuple[str, ...] = ()
+PLUGINS: dict[str, str] = {}
 OFFERS = {
     "VISIBLE_NM": "exports.daylight",
     "seen": "exports.daylight",

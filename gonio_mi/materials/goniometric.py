@@ -403,4 +403,4 @@ def _mixture(channels: Sequence[str], spectral: bool) -> Floats | None:
     return None if mi.is_rgb else XYZ[1]
 
 
-mi.register_bsdf("goniometric", Goniometric)
+PLUGIN = Goniometric

@@ -1,11 +1,16 @@
 """The instrument's Mitsuba plugins, registered for whichever variant is current.
 
 Importing this package (``import gonio_mi`` does) is enough: before or after
-``mi.set_variant``, and again at each change of variant.
+``mi.set_variant``, and again at each change of variant. A plugin's module is run when
+the first one of it is made, for it binds Mitsuba's types, and what it imports takes a
+while; its ``PLUGIN`` is what Mitsuba calls.
 """
 
+import functools
 import importlib
 import sys
+import threading
+from typing import Any
 
 import mitsuba as mi
 
@@ -14,8 +19,7 @@ from ..kernels import know_own_variant, orderly
 
 __all__ = ["MODULES", "modules", "register"]
 
-# In the order of registration: a module comes after those whose plugins it looks up,
-# and those of annexes after ours.
+# By family, as Mitsuba's functions of registration name them, and plugin.
 MODULES = (
     "samplers.sobol",
     "shapes.heightfield",
@@ -28,26 +32,37 @@ MODULES = (
     "integrators.goniophotometer",
 )
 
+# Modules that were run for the current variant; Mitsuba may make plugins in threads.
+_run = set[str]()
+_running = threading.RLock()
 
-def modules() -> list[str]:
-    """Qualified names of the modules of all plugins, in the order of registration."""
-    ours = [f"{__name__}.{name}" for name in MODULES]
-    return ours + [
-        f"{annex}.{name}" for annex, door in doors() for name in door.PLUGINS
-    ]
+
+def modules() -> dict[str, str]:
+    """Families of all plugins, by the qualified names of their modules."""
+    ours = {f"{__name__}.{one}": one.partition(".")[0][:-1] for one in MODULES}
+    for annex, door in doors():
+        ours |= {f"{annex}.{name}": family for name, family in door.PLUGINS.items()}
+    return ours
 
 
 def register() -> None:
-    """Register every plugin for the current variant.
+    """Register every plugin for the current variant."""
+    _run.clear()
+    for module, family in modules().items():
+        name = module.rpartition(".")[2]
+        getattr(mi, f"register_{family}")(name, functools.partial(_made, module))
 
-    The plugin modules bind Mitsuba's types when they are run, so that they are run
-    again for each variant.
-    """
-    for qualified in modules():
-        if qualified in sys.modules:
-            importlib.reload(sys.modules[qualified])
-        else:
-            importlib.import_module(qualified)
+
+def _made(module: str, props: mi.Properties) -> Any:
+    """Plugin with these properties."""
+    with _running:
+        if module not in _run:
+            if module in sys.modules:  # of another variant
+                importlib.reload(sys.modules[module])
+            else:
+                importlib.import_module(module)
+            _run.add(module)
+    return sys.modules[module].PLUGIN(props)
 
 
 def _changed(_old: str, _new: str) -> None:

@@ -13,7 +13,7 @@ COMMANDS = {
     "diff": "Compare what two Mitsuba versions say of the same BSDF.",
     "conformance": "Ask Mitsuba's own plugins under several versions, as a page.",
 }
-PLUGINS: tuple[str, ...] = ()
+PLUGINS: dict[str, str] = {}
 OFFERS = {
     "POLARISED": "questions",
     "PROPERTIES": "questions",

@@ -237,4 +237,4 @@ def _half_vector(wi: mi.Vector3f, wo: mi.Vector3f) -> tuple[mi.Vector3f, mi.Floa
     return half / length, length / 2
 
 
-mi.register_bsdf("anisotropicphong", AnisotropicPhong)
+PLUGIN = AnisotropicPhong

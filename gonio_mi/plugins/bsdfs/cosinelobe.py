@@ -150,4 +150,4 @@ class CosineLobe(mi.BSDF):
         )
 
 
-mi.register_bsdf("cosinelobe", CosineLobe)
+PLUGIN = CosineLobe

@@ -183,4 +183,4 @@ class GlossyMixture(mi.BSDF):
         )
 
 
-mi.register_bsdf("glossymixture", GlossyMixture)
+PLUGIN = GlossyMixture

@@ -73,4 +73,4 @@ class Patches(mi.Film):
 
 
 Patches.__doc__ = plugin_table(Patches.__doc__, MeasurementSettings, FILM)
-mi.register_film("patches", Patches)
+PLUGIN = Patches

@@ -173,4 +173,4 @@ def rows_of(both: Floats) -> mi.TensorXf:
 Goniophotometer.__doc__ = plugin_table(
     Goniophotometer.__doc__, MeasurementSettings, INTEGRATOR
 )
-mi.register_integrator("goniophotometer", Goniophotometer)
+PLUGIN = Goniophotometer

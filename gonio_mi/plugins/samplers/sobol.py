@@ -157,4 +157,4 @@ class Sobol(mi.Sampler):
         return f"Sobol[sample_count={self.sample_count()}]"
 
 
-mi.register_sampler("sobol", Sobol)
+PLUGIN = Sobol

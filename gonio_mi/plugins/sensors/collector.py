@@ -65,4 +65,4 @@ class Collector(mi.Sensor):
 
 
 Collector.__doc__ = plugin_table(Collector.__doc__, MeasurementSettings, COLLECTOR)
-mi.register_sensor("collector", Collector)
+PLUGIN = Collector

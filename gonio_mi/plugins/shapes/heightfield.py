@@ -302,4 +302,4 @@ def _faces(n_x: int, n_y: int) -> NDArray[np.uint32]:
     return np.stack([a, b, d, a, d, c], axis=-1).reshape(-1, 3)
 
 
-mi.register_shape("heightfield", heightfield)
+PLUGIN = heightfield

@@ -46,4 +46,4 @@ def stl(props: mi.Properties) -> mi.Mesh:
     return mesh_of(props, f"stl {path.name}", points.astype(np.float32), faces)
 
 
-mi.register_shape("stl", stl)
+PLUGIN = stl

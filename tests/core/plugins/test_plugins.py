@@ -47,6 +47,25 @@ def test_import_before_or_after_set_variant(order):
     assert said(lines) == "projected:30x30"
 
 
+def test_modules_are_run_when_a_plugin_is_first_made():
+    """Not by a variant, and once for each in which one is made, in any thread."""
+    kinds = "cosinelobe", "glossymixture", "anisotropicphong"
+    lines = [
+        "import sys, gonio_mi, mitsuba as mi",
+        "def run(): return sum('.plugins.bsdfs.' in name for name in sys.modules)",
+        f"scene = {{str(i): {{'type': 'sphere', 'bsdf': {{'type': {kinds}[i % 3]}}}}",
+        "         for i in range(24)}",
+        "counts, classes = [], set()",
+        "for variant in ('llvm_ad_mono', 'llvm_ad_rgb', 'llvm_ad_mono'):",
+        "    mi.set_variant(variant)",
+        "    counts.append(run())",
+        "    shapes = mi.load_dict({'type': 'scene'} | scene).shapes()",
+        "    classes |= {type(shape.bsdf()) for shape in shapes}",
+        "print(counts, run(), len(classes))",
+    ]
+    assert said(lines) == "[0, 3, 3] 3 9"
+
+
 def said(lines):
     """What a process prints that runs some lines."""
     command = [sys.executable, "-c", "\n".join(lines)]
