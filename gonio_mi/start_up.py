@@ -13,6 +13,7 @@ from typing import NoReturn
 PROGRAM = "gonio-mi"
 # Commands that read records and tables only, and help: to load Mitsuba takes as long.
 WITHOUT_MITSUBA = ("", "help", "show", "plot", "report")
+HELP = ("-h", "--help", "--help-all")
 INTERRUPTED = 130  # as shells count: 128 and the number of SIGINT
 
 # Whether this process is the program, which searches for no garbage while it imports.
@@ -48,7 +49,9 @@ def begin() -> None:
 
 def needs_mitsuba() -> bool:
     """Whether anything but the program with a command that only reads is started."""
-    return not is_program() or command_of(sys.argv[1:]) not in WITHOUT_MITSUBA
+    words = sys.argv[1:]
+    reads = command_of(words) in WITHOUT_MITSUBA or not {*HELP}.isdisjoint(words)
+    return not (is_program() and reads)
 
 
 def is_program() -> bool:

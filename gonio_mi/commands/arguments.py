@@ -20,14 +20,14 @@ from ..errors import (
     printable,
     shortened,
 )
-from ..settings import Kind, MeasurementSettings, declarations
-from ..specimen.specimen_text import SpecimenLike
 from ..start_up import PROGRAM
 from .file_kinds import check_kind
 
 if TYPE_CHECKING:
     from ..files.measured_table import MeasuredTable
     from ..results.record import Record
+    from ..settings import Kind
+    from ..specimen.specimen_text import SpecimenLike
 
 DONE, USER_ERROR, INCOMPLETE, FAILED, UNDECIDED = 0, 1, 2, 3, 4
 
@@ -121,6 +121,8 @@ def add_settings_group(
     parser: argparse.ArgumentParser, title: str, description: str | None = None
 ) -> Any:
     """Group of a parser, with the options of the settings declared in it."""
+    from ..settings import MeasurementSettings, declarations  # with NumPy
+
     group = parser.add_argument_group(title.capitalize(), description)
     for name, declared in declarations(MeasurementSettings).items():
         if declared.group == title:
@@ -133,6 +135,8 @@ def add_setting(group: Group, name: str, default: str | None = None) -> None:
 
     A command whose `default` is another says so. The measurement checks values.
     """
+    from ..settings import Kind, MeasurementSettings, declarations
+
     readers: dict[Kind, dict[str, Any]] = {
         Kind.COUNT: {"type": number},
         Kind.NUMBER: {"type": number},
@@ -153,6 +157,8 @@ def add_setting(group: Group, name: str, default: str | None = None) -> None:
 
 def given_settings(options: argparse.Namespace) -> dict[str, Any]:
     """Values of all settings that the command has options for; None if not given."""
+    from ..settings import MeasurementSettings, declarations
+
     names = declarations(MeasurementSettings)
     return {name: getattr(options, name) for name in names if hasattr(options, name)}
 
@@ -230,6 +236,7 @@ def set_variant(variant: str, variants: Sequence[str] = ()) -> None:
     """Set one of some Mitsuba variants; by default of those that measure."""
     import mitsuba as mi
 
+    from .. import plugins  # noqa: F401  which a command line with --help may lack
     from ..loops import mitsubas_made_late
     from ..variants import unpolarised_variants
 

@@ -31,9 +31,7 @@ from typing import Any
 
 from .. import files
 from ..annexes import ask
-from ..campaigns.measure import measure
 from ..errors import LostLightWarning, SettingError
-from ..instrument.measure import measure_orders
 from ..results.record import Record
 from ..results.summary import summarize
 from ..results.summary_text import summary_text
@@ -246,9 +244,13 @@ def _measured(
     if "theta_max" in chosen and "tolerance" not in chosen:
         raise SettingError("--theta-max applies with --tolerance only")
     if orders:
+        from ..instrument.measure import measure_orders
+
         return measure_orders(specimen, orders=orders, **settings)
     where = campaign_options(options)
     if not where and not chosen:
+        from ..campaigns.measure import measure
+
         resume = None if options.resume is None else record_of(options.resume)
         return measure(specimen, resume=resume, **settings)
     if options.resume is not None:

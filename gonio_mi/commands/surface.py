@@ -19,12 +19,10 @@ from typing import Any
 
 from ..annexes import ask
 from ..errors import SettingError
-from ..specimen.loading import surface_specimen
-from ..specimen.mesh import NORMALS, mesh
 from ..specimen.specimen_text import SpecimenLike, parse_specimen
 from ..surfaces.height_maps import is_height_map
 from ..surfaces.heights import FILLS, FORMS
-from ..surfaces.meshes import is_mesh
+from ..surfaces.meshes import NORMALS, is_mesh
 from ..surfaces.topography import UNITS
 from .arguments import (
     DONE,
@@ -127,12 +125,16 @@ def prepared_surface(specimen: SpecimenLike, options: Namespace) -> Any:
             raise SettingError(f"{option_of(name)} applies to height maps, got a mesh")
         if bsdf is None:
             return specimen  # which is refused in the words of all commands
+        from ..specimen.mesh import mesh
+
         return mesh(specimen, bsdf, **of_mesh)
     for name in of_mesh:
         raise SettingError(
             f"{option_of(name)} applies to meshes, got {options.specimen}"
         )
     if isinstance(specimen, str) and is_height_map(specimen):
+        from ..specimen.loading import surface_specimen
+
         period = getattr(options, "period", None)
         return surface_specimen(specimen, bsdf, period, **given)
     if bsdf is not None:

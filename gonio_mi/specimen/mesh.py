@@ -21,20 +21,10 @@ from ..errors import (
     shown,
     warn,
 )
-from ..surfaces.meshes import MESHES, is_mesh
+from ..surfaces.meshes import MESHES, NORMALS, is_mesh
 from ..variants import check_variant, is_parallel
 from .loading import loaded
 from .shapes import bounds
-
-# Rotations that turn an axis of the file to +z, and what is up, its z or else y, to +y.
-NORMALS = {
-    "z": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
-    "-z": [[-1, 0, 0], [0, 1, 0], [0, 0, -1]],
-    "y": [[-1, 0, 0], [0, 0, 1], [0, 1, 0]],
-    "-y": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
-    "x": [[0, 1, 0], [0, 0, 1], [1, 0, 0]],
-    "-x": [[0, -1, 0], [0, 0, 1], [-1, 0, 0]],
-}
 
 # A mesh that is so many times thinner along another axis than z may stand upright, and
 # be seen edge-on.

@@ -12,6 +12,16 @@ from ..errors import FileFormatError
 from ..files.checks import require
 from ..files.numbers import decimal
 
+# Rotations that turn an axis of the file to +z, and what is up, its z or else y, to +y.
+NORMALS = {
+    "z": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    "-z": [[-1, 0, 0], [0, 1, 0], [0, 0, -1]],
+    "y": [[-1, 0, 0], [0, 0, 1], [0, 1, 0]],
+    "-y": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
+    "x": [[0, 1, 0], [0, 0, 1], [1, 0, 0]],
+    "-x": [[0, -1, 0], [0, 0, 1], [-1, 0, 0]],
+}
+
 # Mitsuba's plugins by the ending of the file.
 MESHES = {".obj": "obj", ".ply": "ply", ".stl": "stl"}
 

@@ -535,7 +535,7 @@ def test_bad_outputs_are_refused_before_measuring(
     def measure(*_, **__):
         raise AssertionError("it has measured")
 
-    monkeypatch.setattr("gonio_mi.commands.measure.measure", measure)
+    monkeypatch.setattr("gonio_mi.campaigns.measure.measure", measure)
     good = tmp_path / "good.npz"
     assert words in refuse(*QUICK, "-o", good, tmp_path / name)
     assert sorted(tmp_path.iterdir()) == before
@@ -966,7 +966,7 @@ def break_measure(monkeypatch):
     def break_measure(fault):
         scope = {"__name__": "gonio_mi.campaigns.measure", "np": np}
         exec(f"def measure(*_, **__):\n    return {fault}", scope)
-        monkeypatch.setattr("gonio_mi.commands.measure.measure", scope["measure"])
+        monkeypatch.setattr("gonio_mi.campaigns.measure.measure", scope["measure"])
 
     return break_measure
 

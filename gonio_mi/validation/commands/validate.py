@@ -17,12 +17,14 @@ undecided, because no light was scattered, no integral converged, or a polarised
 could not be loaded in the unpolarised variant.
 """
 
+from __future__ import annotations
+
 import argparse
 import contextlib
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ...commands.arguments import (
     DONE,
@@ -41,10 +43,11 @@ from ...commands.arguments import (
 )
 from ...commands.parser import Parser
 from ...errors import SettingError, SpecimenError
-from ...specimen.loading import load_plugin_file, load_specimen
 from ...start_up import is_program
 from ...surfaces.meshes import is_mesh
-from ..verdict import Verdict
+
+if TYPE_CHECKING:
+    from ..verdict import Verdict
 
 USAGE = "%(prog)s SPECIMEN [options]"
 
@@ -145,6 +148,7 @@ def _verdicts(options: argparse.Namespace) -> tuple[list[Verdict], dict[str, str
 
 
 def _verdict(options: argparse.Namespace, variant: str) -> Verdict:
+    from ...specimen.loading import load_plugin_file, load_specimen
     from ...variants import is_polarised, parallel_variants, unpolarised
     from ..examination import validate
     from ..reproducers import source_of
