@@ -15,7 +15,6 @@ was ended by SIGTERM
 
 import argparse
 import importlib
-import inspect
 import io
 import os
 import sys
@@ -32,6 +31,7 @@ from .commands.arguments import INCOMPLETE, USER_ERROR, say, sentence
 from .commands.parser import Parser
 from .errors import SettingError, is_ctrl_c, is_the_users, own_frame
 from .start_up import PROGRAM
+from .version import __version__
 
 # Commands of the core, each the module of this name in `commands`, imported when it is
 # used; those of annexes follow.
@@ -129,7 +129,7 @@ def parser(command: str | None = None, listed: Iterable[str] = COMMANDS) -> Pars
     whole = Parser(
         prog=PROGRAM,
         description="A virtual goniophotometer for Mitsuba 3.",
-        epilog=inspect.cleandoc(__doc__ or "").partition("\n\n")[2],
+        epilog=(__doc__ or "").strip().partition("\n\n")[2],
     )
     whole.add_argument("--version", action=_Version, nargs=0, help="Show the version.")
     commands = whole.add_subparsers(metavar="COMMAND", title="Commands")
@@ -149,7 +149,7 @@ def _add_command(commands: Any, name: str) -> None:
     are the module's own, if it has them.
     """
     module = importlib.import_module(f"{PACKAGES[name]}.commands.{name}")
-    _, _, text = inspect.cleandoc(module.__doc__ or "").partition("\n")
+    _, _, text = (module.__doc__ or "").strip().partition("\n")
     description, examples, more = text.partition("examples:\n")
     own = commands.add_parser(
         name,
@@ -170,7 +170,7 @@ class _Version(argparse.Action):
     """Prints the version, and ends the program."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
-        print(_versions(PROGRAM))
+        print(f"{PROGRAM} {__version__}")
         parser.exit()
 
 

@@ -864,14 +864,27 @@ def loaded(words):
     return set(done.stderr.decode().split())
 
 
+# What takes long to import, and a short command does without.
+SLOW = {"tqdm", "email", "importlib.metadata", "subprocess", "xml", "scipy", "OpenEXR"}
+
+
 def test_a_command_imports_no_other():
-    """Help loads neither the measurement nor SciPy; that of `measure` does Mitsuba."""
-    slow = {"gonio_mi.instrument.measure", "gonio_mi.commands.measure", "scipy"}
-    for words in ("--help", "show --help", "--version"):
-        assert not loaded(words.split()) & {*slow, "mitsuba", "drjit"}
-    modules = loaded(["measure", "--help"])
-    assert modules > {"gonio_mi.commands.measure", "mitsuba"}
-    assert not modules & {"matplotlib", "scipy.stats", "scipy.optimize"}
+    """Help of the program loads not even NumPy; that of a command no measurement."""
+    slow = SLOW | {"gonio_mi.instrument.measure", "mitsuba", "drjit"}
+    for words in ("measure --help", "show --help", "validate --help"):
+        assert not loaded(words.split()) & {*slow, "gonio_mi.commands.plan"}
+    for words in ("--help", "--version"):
+        assert not loaded([words]) & {*slow, "gonio_mi.commands.measure", "numpy"}
+
+
+def test_a_short_command_imports_what_it_needs():
+    """Of Mitsuba plugins that of its sampler; twin: that of the BSDF, too."""
+    modules = loaded([*QUICK])
+    assert not modules & {*SLOW, "gonio_mi.plugins.integrators.goniophotometer"}
+    plugins = {x for x in modules if re.match(r"gonio_mi\.plugins\.\w+\.", x)}
+    assert plugins == {"gonio_mi.plugins.samplers.sobol"}
+    twin = loaded(["measure", "cosinelobe", *QUICK[2:]])
+    assert "gonio_mi.plugins.bsdfs.cosinelobe" in twin
 
 
 @pytest.mark.parametrize(

@@ -64,6 +64,26 @@ def test_twin_finds_a_module_in_the_way(tmp_path, monkeypatch):
     assert shadowed(in_the_way) == {"chart", "plot"}
 
 
+def test_import_loads_little_but_mitsuba():
+    """Neither NumPy nor a room of ours: only what registers the plugins."""
+    program = "import sys, mitsuba; before = {*sys.modules}; import gonio_mi; "
+    program += "print(*{*sys.modules} - before)"
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    more = set(done.stdout.split())
+    folder = Path(gonio.__file__).parent
+    rooms = {f"gonio_mi.{path.parent.name}" for path in folder.glob("*/__init__.py")}
+    assert more & rooms == {"gonio_mi.plugins"}
+    assert not more & {
+        "numpy",
+        "pathlib",
+        "ctypes",
+        "dataclasses",
+        "importlib.metadata",
+    }
+
+
 def test_import_loads_nothing_optional():
     """They are loaded by what needs them, when it is called."""
     program = f"import sys, gonio_mi; print({set(OPTIONAL)!r} & set(sys.modules))"
