@@ -646,6 +646,7 @@ def test_ctrl_c_while_a_plugin_is_built(constructor, capsys):
 
 
 def test_ctrl_c_while_a_plugin_of_ours_is_built(monkeypatch, capsys):
+    mi.load_dict({"type": "heightfield"})  # imports the plugin
     monkeypatch.setattr("gonio_mi.plugins.shapes.heightfield._topography", built)
     assert main(["measure", "heightfield", "--theta-i", "30"]) == INCOMPLETE
     assert "interrupted: nothing was finished" in capsys.readouterr().err

@@ -5,7 +5,6 @@ bits are exact. Evenly distributed counts scatter less than random ones, so that
 chi-square is tested on the upper side alone.
 """
 
-import importlib
 import itertools
 import time
 from functools import cache
@@ -392,9 +391,9 @@ def brightness(sampler, seeds=24):
 
 
 def test_mitsubas_path_tracer_renders_the_same():
-    plugin = importlib.import_module("gonio_mi.plugins.samplers.sobol")
+    sobol = type(mi.load_dict({"type": "sobol"}))
 
-    class Stuck(plugin.Sobol):
+    class Stuck(sobol):
         """Twin: draws the same two numbers again at each event."""
 
         def next_1d(self, active=True):
