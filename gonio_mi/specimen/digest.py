@@ -43,7 +43,7 @@ def emitter_digest(emitters: Iterable[mi.Emitter]) -> str:
     return digest(emitter.get_shape() or emitter for emitter in emitters)
 
 
-def digest(things: Iterable[Any]) -> str:
+def digest(things: Iterable[Any], *, foreign: bool = True) -> str:
     """Digest of shapes or other objects of a scene, in any order.
 
     Of their Mitsuba texts, all parameters that ``mi.traverse`` gives (geometry, the
@@ -56,13 +56,16 @@ def digest(things: Iterable[Any]) -> str:
     Parameters
     ----------
     things : iterable of mi.Object
+    foreign : bool
+        Whether plugins in Python of others may be among them: to look for these takes
+        longest.
 
     Returns
     -------
     str
         Of 16 hexadecimal digits.
     """
-    each = sorted(map(_object_digest, things))
+    each = sorted(_object_digest(thing, foreign) for thing in things)
     return hashlib.sha256("".join(each).encode()).hexdigest()[:LENGTH]
 
 
@@ -75,7 +78,7 @@ def geometry_hash(shapes: Iterable[mi.Shape]) -> int:
     return hash(tuple(map(hash, parts)))
 
 
-def _object_digest(thing: Any) -> str:
+def _object_digest(thing: Any, foreign: bool) -> str:
     """SHA-256 of one object, hexadecimal."""
     found = hashlib.sha256()
     for text in _texts(thing):
@@ -83,7 +86,7 @@ def _object_digest(thing: Any) -> str:
         for path in map(Path, FILE.findall(text)):
             if path.is_file():
                 found.update(path.read_bytes())
-    for plugin in foreign_plugins(thing):
+    for plugin in foreign_plugins(thing) if foreign else ():
         for name, value in sorted(vars(plugin).items()):
             found.update(name.encode() + b"".join(_state(value)))
     for part in _parameters(thing):
@@ -159,8 +162,13 @@ SCRIPTS = ("__main__", "__mp_main__")
 _known: weakref.WeakKeyDictionary[type, frozenset[str]] = weakref.WeakKeyDictionary()
 
 
-def plugins_digest(things: Iterable[mi.Object]) -> str | None:
-    """Digest of the plugins in Python among objects of a scene and what they hold.
+def kinds_of(things: Iterable[mi.Object]) -> set[type]:
+    """Classes of objects of a scene and of what they hold."""
+    return {type(held) for thing in things for held in held_objects(thing)}
+
+
+def plugins_digest(kinds: Iterable[type]) -> str | None:
+    """Digest of the plugins in Python among classes of objects of a scene.
 
     Of the files that define their classes and of the local files and packages that
     import statements name there, as they were when a class was first met; for a class
@@ -170,7 +178,8 @@ def plugins_digest(things: Iterable[mi.Object]) -> str | None:
 
     Parameters
     ----------
-    things : iterable of mi.Object
+    kinds : iterable of type
+        Of :func:`kinds_of`.
 
     Returns
     -------
@@ -179,7 +188,7 @@ def plugins_digest(things: Iterable[mi.Object]) -> str | None:
         be found.
     """
     texts: set[str] = set()
-    for kind in {type(held) for thing in things for held in held_objects(thing)}:
+    for kind in set(kinds):
         if kind not in _known:
             _known[kind] = frozenset(_class_texts(kind))
         texts |= _known[kind]
