@@ -5,7 +5,9 @@ from __future__ import annotations
 import ctypes
 import platform
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -102,10 +104,17 @@ def target() -> tuple[str, int | None]:
     is the machine's and the width None.
     """
     try:
-        core = ctypes.CDLL(str(Path(dr.__file__).parent / "libdrjit-core.so"))
-        name, width = core._Z19jit_llvm_target_cpuv, core._Z21jit_llvm_vector_widthv
+        name, width = _target_functions()
     except (OSError, AttributeError):
         return platform.machine(), None
-    name.restype, width.restype = ctypes.c_char_p, ctypes.c_uint32
     text = name()
     return (text.decode() if text else platform.machine()), int(width()) or None
+
+
+@cache
+def _target_functions() -> tuple[Any, Any]:
+    """Functions of Dr.Jit's library that tell the target's name and width."""
+    core = ctypes.CDLL(str(Path(dr.__file__).parent / "libdrjit-core.so"))
+    name, width = core._Z19jit_llvm_target_cpuv, core._Z21jit_llvm_vector_widthv
+    name.restype, width.restype = ctypes.c_char_p, ctypes.c_uint32
+    return name, width

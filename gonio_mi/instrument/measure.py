@@ -18,7 +18,7 @@ from ..kernels import launches_kernels
 from ..progress import Announcement, bar
 from ..results.record import Record
 from ..results.tally import Tally, batch_sizes
-from ..settings import MeasurementSettings
+from ..settings import DEFAULTS, MeasurementSettings
 from ..settings.values import Order
 from ..specimen.kept import loaded_once
 from ..specimen.specimen import Specimen
@@ -116,7 +116,7 @@ def measure_stacks(
     given = {name: value for name, value in given.items() if value is not None}
     if orders:
         given["order"] = Order(most=max(order.most for order in orders))
-    asked = MeasurementSettings().changed(**given)  # refused before anything is loaded
+    asked = DEFAULTS.changed(**given)  # refused before anything is loaded
     _check_together(given, asked, incidents, emitter)
     with loaded_once(specimen, parameters, given.get("period")) as loaded:
         settings = _settled(loaded.own_settings, given, resume)
@@ -285,7 +285,7 @@ def _settled(
     own: dict[str, Any], given: dict[str, Any], resume: object
 ) -> MeasurementSettings:
     """Settings that are `given`, else the scene's `own`, else the defaults."""
-    settings = MeasurementSettings().changed(**own | given)
+    settings = DEFAULTS.changed(**own | given)
     estimator = settings.estimator
     method = METHODS[estimator]
     if resume is not None and not method.resumes:
@@ -297,7 +297,8 @@ def _settled(
         for name, other in (others | also).items():
             if goal in given and other is not None:
                 raise SettingError(f"{goal} and {name} are mutually exclusive")
-    if given.keys() & {"rays", "noise"}:  # instead of what the scene asks for
+    if settings.rel_err is not None and given.keys() & {"rays", "noise"}:
+        # instead of what the scene asks for
         settings = replace(settings, rel_err=None)
     return settings
 

@@ -7,7 +7,7 @@ same specimen again, only the digest is taken: if it is that of before, so is al
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -73,11 +73,8 @@ class Kept:
         specimen = self.specimen
         if self.given != given or period_of(specimen.source, period) != self.period:
             return False
-        parts = specimen.parts()
-        if len(parts) != len(self.parts):
-            return False
-        alike = all(one is other for one, other in zip(parts, self.parts))
-        return alike and specimen.digest_now() == specimen.digest
+        digest, parts = specimen.state()
+        return digest == specimen.digest and [*map(id, parts)] == [*map(id, self.parts)]
 
 
 @contextmanager
@@ -106,23 +103,26 @@ def loaded_once(
         given = None if parameters else (mi.variant(), _content(specimen))
     except _CannotTell:
         given = None
-    found = None
-    if kept and given is not None and kept[0].is_same(given, period):
-        found = kept[0].specimen
-    kept.clear()
+    known = kept.pop() if kept else None
+    if known is None or given is None or not known.is_same(given, period):
+        known = None
     before = warned()
-    one = specimen_of(specimen, parameters, period) if found is None else found
+    one = known.specimen if known else specimen_of(specimen, parameters, period)
     yield one
-    if given is not None and warned() == before and not one.holds_foreign:
-        parts = one.parts()
-        if all(map(_among(parts, one.source), _objects(given))):
-            kept[:] = [Kept(given, one.period, one, parts)]
+    if warned() == before:
+        known = known or _to_keep(given, one)
+        kept[:] = [known] if known else []
 
 
-def _among(parts: Sequence[Any], source: mi.Scene) -> Any:
-    """Whether an object is the scene itself or one of its parts, by identity."""
-    known = {id(source), *map(id, parts)}
-    return lambda thing: id(thing) in known
+def _to_keep(given: Any, specimen: Specimen) -> Kept | None:
+    """What is kept of a specimen that was loaded from what was `given`, if anything."""
+    if given is None or specimen.holds_foreign:
+        return None
+    parts = specimen.state()[1]
+    among = {id(specimen.source), *map(id, parts)}
+    if not all(id(thing) in among for thing in _objects(given)):
+        return None  # it was copied into others
+    return Kept(given, specimen.period, specimen, parts)
 
 
 def _objects(content: Any) -> Iterator[mi.Object]:

@@ -20,7 +20,7 @@ from ..kernels import in_memory
 from ..mitsuba_compat import MINIMAL, SURFACE, has_normals, recompute_box
 from ..settings.values import Period
 from .bsdf_trial import check_works, warn_of_roughness
-from .digest import digest, kinds_of
+from .digest import digest, digest_and_parts, kinds_of
 from .media import check_media, media_of, phase_defect
 from .plane import Plane
 from .rays import RETREAT, START, SURFACE_OFFSET, escapes, intersect
@@ -301,20 +301,19 @@ class Specimen:
     @cached_property
     def digest(self) -> str:
         """:func:`~gonio_mi.specimen.digest.digest` of its shapes, taken once."""
-        return self.digest_now()
+        return digest(self._digested())
 
-    def digest_now(self) -> str:
-        """Take the digest anew."""
-        return digest(self._digested(), foreign=self.holds_foreign)
+    def state(self) -> tuple[str, list[mi.Object]]:
+        """Digest as it would be now, and what the shapes are and hold.
+
+        For one that holds no plugins in Python of others.
+        """
+        return digest_and_parts(self._digested())
 
     def _digested(self) -> list[mi.Shape]:
         """Shapes, those of groups and those that are repeated."""
         repeated = [*self.groups, *self.surfaces] if self.groups else []
         return [*self.scene.shapes(), *repeated]
-
-    def parts(self) -> list[mi.Object]:
-        """Objects that its shapes are and hold, as far as Mitsuba tells now."""
-        return [part for one in self._digested() for part in traversed(one).hierarchy]
 
     @cached_property
     def kinds(self) -> set[type]:

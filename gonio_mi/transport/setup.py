@@ -189,11 +189,13 @@ class Setup:
     @property
     def digests(self) -> dict[str, str | None]:
         """What tells the specimen and the emitter from others, for the settings."""
-        kinds = self.specimen.kinds | kinds_of([self.beam.emitter])
+        emitter = self.beam.emitter
+        # without a source it is a collimated one of ours, which holds nothing
+        lit = {type(emitter)} if self.source is None else kinds_of([emitter])
         return {
             "digest": self.specimen.digest,
             "emitter_digest": self.emitter_digest,
-            "plugin_digest": plugins_digest(kinds),
+            "plugin_digest": plugins_digest(self.specimen.kinds | lit),
         }
 
     def bins(self, exits: Exits) -> mi.UInt32:
