@@ -104,7 +104,8 @@ def target() -> tuple[str, int | None]:
     is the machine's and the width None.
     """
     try:
-        name, width = _target_functions()
+        library = Path(dr.__file__).parent / "libdrjit-core.so"
+        name, width = _target_functions(str(library))
     except (OSError, AttributeError):
         return platform.machine(), None
     text = name()
@@ -112,9 +113,9 @@ def target() -> tuple[str, int | None]:
 
 
 @cache
-def _target_functions() -> tuple[Any, Any]:
+def _target_functions(library: str) -> tuple[Any, Any]:
     """Functions of Dr.Jit's library that tell the target's name and width."""
-    core = ctypes.CDLL(str(Path(dr.__file__).parent / "libdrjit-core.so"))
+    core = ctypes.CDLL(library)
     name, width = core._Z19jit_llvm_target_cpuv, core._Z21jit_llvm_vector_widthv
     name.restype, width.restype = ctypes.c_char_p, ctypes.c_uint32
     return name, width

@@ -7,6 +7,7 @@ same specimen again, only the digest is taken: if it is that of before, so is al
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,7 +21,8 @@ import numpy as np
 
 from ..errors import warned
 from ..kernels import registered_by_others
-from .loading import period_of, plugin_files, specimen_of
+from ..surfaces.height_maps import is_height_map
+from .loading import period_of, plugin_files, specimen_of, surface_specimen
 from .shapes import kept
 from .specimen import Specimen
 from .specimen_text import SpecimenLike
@@ -100,7 +102,7 @@ def loaded_once(
         yield specimen
         return
     try:
-        given = None if parameters else (mi.variant(), _content(specimen))
+        given = None if parameters else (mi.variant(), _given(specimen, period))
     except _CannotTell:
         given = None
     known = kept.pop() if kept else None
@@ -123,6 +125,15 @@ def _to_keep(given: Any, specimen: Specimen) -> Kept | None:
     if not all(id(thing) in among for thing in _objects(given)):
         return None  # it was copied into others
     return Kept(given, specimen.period, specimen, parts)
+
+
+def _given(specimen: SpecimenLike, period: Any) -> Any:
+    """Content of a specimen: of a dictionary, an object, or a file of heights."""
+    if not isinstance(specimen, (str, os.PathLike)):
+        return _content(specimen)
+    if not (os.path.isfile(specimen) and is_height_map(Path(specimen))):
+        raise _CannotTell
+    return str(specimen), _content(surface_specimen(specimen, period=period))
 
 
 def _objects(content: Any) -> Iterator[mi.Object]:
@@ -150,11 +161,17 @@ def _content(value: Any) -> Any:
         return type(value), *map(_content, value)
     if isinstance(value, mi.Object):
         return _Same(value)
-    if hasattr(value, "matrix") and hasattr(value, "inverse_transpose"):
-        return tuple(map(_numbers, (value.matrix, value.inverse_transpose)))
-    if isinstance(value, (np.ndarray, np.generic)) or dr.is_array_v(value):
+    if type(value) is np.ndarray or isinstance(value, np.generic):
         return _numbers(value)
+    if dr.is_array_v(value):
+        return _numbers(value)
+    if "Transform" in type(value).__name__ and _is_of_mitsuba(value):
+        return tuple(map(_numbers, (value.matrix, value.inverse_transpose)))
     raise _CannotTell
+
+
+def _is_of_mitsuba(value: Any) -> bool:
+    return type(value).__module__.partition(".")[0] == "mitsuba"
 
 
 def _numbers(value: Any) -> Any:
@@ -173,7 +190,7 @@ def _check_plugin(name: Any) -> None:
     have put in place of Mitsuba's and ours.
     """
     known = _known_plugins()
-    if name not in known or not registered_by_others.isdisjoint(known):
+    if not (isinstance(name, str) and name in known) or not registered_by_others.isdisjoint(known):
         raise _CannotTell
 
 
@@ -188,9 +205,10 @@ def _content_of_files(item: tuple[str, Any]) -> Any:
     if not isinstance(value, str) or key in ("type", "id"):
         return ()
     names = [value, *(name.format(value) for name in DATA)]
-    paths = [Path(str(mi.file_resolver().resolve(name))) for name in names]
     try:
+        found = (Path(str(mi.file_resolver().resolve(name))) for name in names)
+        paths = dict.fromkeys([Path(value), *found])
         texts = [path.read_bytes() for path in paths if path.is_file()]
-    except (OSError, ValueError):
+    except (OSError, TypeError, ValueError):  # of a name that no file has
         raise _CannotTell from None
     return tuple(hashlib.sha256(text).digest() for text in texts)
