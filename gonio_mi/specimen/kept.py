@@ -190,7 +190,9 @@ def _check_plugin(name: Any) -> None:
     have put in place of Mitsuba's and ours.
     """
     known = _known_plugins()
-    if not (isinstance(name, str) and name in known) or not registered_by_others.isdisjoint(known):
+    if not (isinstance(name, str) and name in known):
+        raise _CannotTell
+    if not registered_by_others.isdisjoint(known):
         raise _CannotTell
 
 
