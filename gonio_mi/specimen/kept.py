@@ -59,7 +59,7 @@ class Kept:
     given : object
         Content of what it was loaded from.
     period : object
-        As it was given.
+        In effect: given, or of the scene's integrator.
     specimen : Specimen
     parts : list of mi.Object
         All that it holds.
