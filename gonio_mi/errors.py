@@ -298,6 +298,9 @@ def own_place(error: BaseException) -> str:
     return f" ({os.path.basename(frame.file)}, line {frame.line})" if frame else ""
 
 
+# Warnings of this package so far, those that are left out included.
+_warned = [0]
+
 # How warnings begin that are left out, as a regular expression.
 _muted: ContextVar[str | None] = ContextVar("_muted", default=None)
 
@@ -315,8 +318,14 @@ def muted(pattern: str) -> Iterator[None]:
         _muted.reset(before)
 
 
+def warned() -> int:
+    """Return the number of calls of :func:`warn` so far, in any thread."""
+    return _warned[0]
+
+
 def warn(message: str, category: type[Warning] = RuntimeWarning) -> None:
     """Warn at the line that called this package."""
+    _warned[0] += 1
     pattern = _muted.get()
     if pattern is not None and re.match(pattern, message):
         return

@@ -9,6 +9,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ContextDecorator
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -21,6 +22,9 @@ from .variants import check_variant, is_parallel_unpolarised
 # them, and the variant that each thread has set last.
 _entered: list[tuple[str | None, int]] = []
 _own = threading.local()
+
+# Names that others have registered plugins under since this package was imported.
+registered_by_others: set[str] = set()
 
 # Seconds that Python's exit waits at most for the launch of another thread.
 PATIENCE = 30.0
@@ -141,6 +145,17 @@ def orderly(set_variant: Callable[..., None]) -> Callable[..., None]:
             know_own_variant()  # Mitsuba calls nobody if it is the same as before
 
     return in_turn
+
+
+def watched(register: Callable[..., None]) -> Callable[..., None]:
+    """``mi.register_bsdf`` or its like that notes the names of plugins."""
+
+    @functools.wraps(register)
+    def noted(name: str, *factory: Any, **named: Any) -> None:
+        registered_by_others.add(name)
+        register(name, *factory, **named)
+
+    return noted
 
 
 def know_own_variant() -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -98,15 +100,24 @@ def target() -> tuple[str, int | None]:
     Dr.Jit tells no Python function of it; where its library is another one, the name
     is the machine's and the width None.
     """
-    import ctypes  # with the others slow to import
-    import platform
+    import platform  # slow to import
     from pathlib import Path
 
     try:
-        core = ctypes.CDLL(str(Path(dr.__file__).parent / "libdrjit-core.so"))
-        name, width = core._Z19jit_llvm_target_cpuv, core._Z21jit_llvm_vector_widthv
+        library = Path(dr.__file__).parent / "libdrjit-core.so"
+        name, width = _target_functions(str(library))
     except (OSError, AttributeError):
         return platform.machine(), None
-    name.restype, width.restype = ctypes.c_char_p, ctypes.c_uint32
     text = name()
     return (text.decode() if text else platform.machine()), int(width()) or None
+
+
+@cache
+def _target_functions(library: str) -> tuple[Any, Any]:
+    """Functions of Dr.Jit's library that tell the target's name and width."""
+    import ctypes  # slow to import
+
+    core = ctypes.CDLL(library)
+    name, width = core._Z19jit_llvm_target_cpuv, core._Z21jit_llvm_vector_widthv
+    name.restype, width.restype = ctypes.c_char_p, ctypes.c_uint32
+    return name, width

@@ -22,7 +22,7 @@ from ..instrument.measure import measure_each
 from ..kernels import launches_kernels
 from ..results.record import Record
 from ..settings import MeasurementSettings
-from ..specimen.digest import file_digest, plugins_digest
+from ..specimen.digest import file_digest, kinds_of, plugins_digest
 from ..specimen.loading import load_plugin_file, specimen_of
 from ..specimen.specimen import Specimen
 from ..specimen.specimen_text import specimen_name
@@ -85,7 +85,7 @@ class Task:
             return {
                 "digest": specimen.digest,
                 "emitter_digest": described_digest(emitter),
-                "plugin_digest": plugins_digest(things),
+                "plugin_digest": plugins_digest(kinds_of(things)),
             }
 
     def _load_plugins(self) -> None:

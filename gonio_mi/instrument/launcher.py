@@ -163,7 +163,7 @@ class Launcher:
         beams = tuple(one.beam for one in setups) if n > 1 else ()
         capacity = self.capacity * (self.together if n > 1 else 1)
         lanes = lanes_of(setup.settings.wavelengths)
-        controls = self._controls(setup, lanes)
+        controls, own = self._controls(setup, lanes), [one.key for one in setups]
         first, sizes = part.first, tuple(size for size in part.sizes for _ in setups)
         while sizes:
             several = min(len(sizes), capacity)
@@ -172,11 +172,8 @@ class Launcher:
                 rays = FUSED_RAYS if self.on_curve else min(FUSED_RAYS, self.size.rays)
                 # the last batch is always among them
                 several = max(1, min(several, rays // sizes[-1]) // n) * n
-            keys = [
-                (*one.key, batch)
-                for batch in range(first, first + several // n)
-                for one in setups
-            ]
+            batches = range(first, first + several // n)
+            keys = [(*key, batch) for batch in batches for key in own]
             yield [
                 Launch(
                     setup,

@@ -18,9 +18,9 @@ from ..kernels import launches_kernels
 from ..progress import Announcement, bar
 from ..results.record import Record
 from ..results.tally import Tally, batch_sizes
-from ..settings import MeasurementSettings
+from ..settings import DEFAULTS, MeasurementSettings
 from ..settings.values import Order
-from ..specimen.loading import specimen_of
+from ..specimen.kept import loaded_once
 from ..specimen.specimen import Specimen
 from ..specimen.specimen_text import SpecimenLike
 from ..transport.polarisation import n_channels, n_elements
@@ -116,22 +116,17 @@ def measure_stacks(
     given = {name: value for name, value in given.items() if value is not None}
     if orders:
         given["order"] = Order(most=max(order.most for order in orders))
-    asked = MeasurementSettings().changed(**given)  # refused before anything is loaded
+    asked = DEFAULTS.changed(**given)  # refused before anything is loaded
     _check_together(given, asked, incidents, emitter)
-    loaded = specimen_of(specimen, parameters, given.get("period"))
-    settings = _settled(loaded.own_settings, given, resume)
-    one_by_one = Target.of(settings) or not METHODS[settings.estimator].follows_exits
-    if len(orders) > 1 and one_by_one:
-        given |= {"progress": progress, "emitter": emitter}
-        records: list[Record] = []
-        for one in orders:
-            records += measure_stacks(loaded, incidents, [one], whole=whole, **given)
-            if records[-1].provenance.interrupted:
-                break
-        return records
-    if len(orders) == 1:
-        settings, orders = replace(settings, order=orders[0]), ()
-    setups = set_up(loaded, settings, incidents, emitter, orders=orders)
+    with loaded_once(specimen, parameters, given.get("period")) as loaded:
+        settings = _settled(loaded.own_settings, given, resume)
+        method = METHODS[settings.estimator]
+        if len(orders) > 1 and (Target.of(settings) or not method.follows_exits):
+            given |= {"progress": progress, "emitter": emitter}
+            return _one_by_one(loaded, incidents, orders, {"whole": whole, **given})
+        if len(orders) == 1:
+            settings, orders = replace(settings, order=orders[0]), ()
+        setups = set_up(loaded, settings, incidents, emitter, orders=orders)
     finished: list[list[Tally]] = [[] for _ in setups]
     if resume is not None:
         check_resumable(resume, setups, rays_per_round(setups[0]))
@@ -144,6 +139,21 @@ def measure_stacks(
         if whole:
             raise KeyboardInterrupt
         warn_of_interruption(setups, records[0])
+    return records
+
+
+def _one_by_one(
+    specimen: Specimen,
+    incidents: Sequence[tuple[float, float] | None],
+    orders: Sequence[Order],
+    given: dict[str, Any],
+) -> list[Record]:
+    """Stacks of the orders, one after the other, until one is interrupted."""
+    records: list[Record] = []
+    for one in orders:
+        records += measure_stacks(specimen, incidents, [one], **given)
+        if records[-1].provenance.interrupted:
+            break
     return records
 
 
@@ -275,7 +285,7 @@ def _settled(
     own: dict[str, Any], given: dict[str, Any], resume: object
 ) -> MeasurementSettings:
     """Settings that are `given`, else the scene's `own`, else the defaults."""
-    settings = MeasurementSettings().changed(**own | given)
+    settings = DEFAULTS.changed(**own | given)
     estimator = settings.estimator
     method = METHODS[estimator]
     if resume is not None and not method.resumes:
@@ -287,7 +297,8 @@ def _settled(
         for name, other in (others | also).items():
             if goal in given and other is not None:
                 raise SettingError(f"{goal} and {name} are mutually exclusive")
-    if given.keys() & {"rays", "noise"}:  # instead of what the scene asks for
+    if settings.rel_err is not None and given.keys() & {"rays", "noise"}:
+        # instead of what the scene asks for
         settings = replace(settings, rel_err=None)
     return settings
 

@@ -42,7 +42,8 @@ PATH_ROUNDING = 1000 * float(np.finfo(np.float32).eps)
 
 def record_of(setup: Setup, tally: Tally) -> Record:
     """Record of a finished `tally`, with all that is needed to repeat it."""
-    return _stack_of([setup], [tally], *settings_and_provenance(setup))[0]
+    n = tally.n_batches
+    return _stack_of([setup], [tally], *settings_and_provenance(setup, n))[0]
 
 
 def _stack_of(
@@ -65,7 +66,7 @@ def _stack_of(
         channels=channel_names(lead.settings.wavelengths, channels),
         tallies=tuple(tally.spread(channels) for tally in tallies),
         asked=asked,
-        provenance=replace(provenance, batches=tallies[0].n_batches),
+        provenance=provenance,
         stacked=True,
     )
 
@@ -135,7 +136,7 @@ def _records(
     sent = [setup for setup, tallies in zip(setups, finished) if tallies]
     done = [Tally.join(tallies) for tallies in finished if tallies]
     orders = setups[0].orders
-    asked, provenance = settings_and_provenance(setups[0])
+    asked, provenance = settings_and_provenance(setups[0], done[0].n_batches)
     if not orders:
         records = [_stack_of(sent, done, asked, provenance)]
     else:
@@ -203,7 +204,9 @@ def _warn_of_created_light(stack: Record) -> None:
 MAX_NUMBERS = 4
 
 
-def settings_and_provenance(setup: Setup) -> tuple[MeasurementSettings, Provenance]:
+def settings_and_provenance(
+    setup: Setup, batches: int | None = None
+) -> tuple[MeasurementSettings, Provenance]:
     """What was asked for of a measurement, and how it came about."""
     settings, specimen = setup.settings, setup.specimen
     goals: dict[str, Any] = {}
@@ -228,6 +231,7 @@ def settings_and_provenance(setup: Setup) -> tuple[MeasurementSettings, Provenan
         sampler=sampler_name(setup.sampler),
         seeds=(settings.seed,),
         rays=settings.rays if setup.samples else 0,
+        batches=batches,
         passes=len(setup.passes),
         variant=mi.variant(),
         versions={

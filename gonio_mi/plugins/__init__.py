@@ -15,7 +15,7 @@ from typing import Any
 import mitsuba as mi
 
 from ..annexes import doors
-from ..kernels import know_own_variant, orderly
+from ..kernels import know_own_variant, orderly, watched
 
 __all__ = ["MODULES", "modules", "register"]
 
@@ -69,6 +69,14 @@ def _changed(_old: str, _new: str) -> None:
     """Follow a change of variant, in the thread that makes it, however it does so."""
     know_own_variant()
     register()
+    _watch()
+
+
+def _watch() -> None:
+    """Note the plugins that others register, now that ours are."""
+    for name, value in [*vars(mi).items()]:
+        if name.startswith("register_") and not hasattr(value, "__wrapped__"):
+            setattr(mi, name, watched(value))
 
 
 if not hasattr(mi.set_variant, "__wrapped__"):
@@ -77,3 +85,4 @@ if not hasattr(mi.set_variant, "__wrapped__"):
     mi.detail.add_variant_callback(_changed)
 if mi.variant():
     register()
+    _watch()

@@ -93,9 +93,13 @@ def _each(kind: type, values: Any) -> bool:
     )
 
 
+# Types that need no look at all that a number may be, which takes longer.
+PLAIN = (str, int, float, bool, type(None))
+
+
 def _plain(value: Any) -> Any:
     """Number as JSON knows it, of NumPy's too; anything else as it is."""
-    if isinstance(value, bool) or not isinstance(value, Real):
+    if type(value) in PLAIN or not isinstance(value, Real):
         return value
     return int(value) if isinstance(value, Integral) else float(value)
 
@@ -218,6 +222,8 @@ class Provenance:
     def __post_init__(self) -> None:
         for one in fields(self):
             value = getattr(self, one.name)
+            if value is one.default:
+                continue
             kind, holds = KINDS[str(one.type)]
             if not (value is None and "None" in str(one.type)) and not holds(value):
                 raise SettingTypeError(f"{one.name} must be {kind}, got {shown(value)}")

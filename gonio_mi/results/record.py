@@ -15,7 +15,7 @@ import numpy as np
 from ..annexes import ask
 from ..array_types import Floats
 from ..errors import SettingError, SettingTypeError, abridged, printable, shown
-from ..settings import MeasurementSettings
+from ..settings import DEFAULTS, MeasurementSettings
 from ..settings.measurement_settings import MAX_RAYS
 from .gradients import Differentiated
 from .patch_means import PatchMeans
@@ -133,7 +133,7 @@ class Record(MeasuredValues, Differentiated):
         else:
             index = self._checked_index(index)
             part, tallies = slice(index, index + 1 or None), (self.tallies[index],)
-        return replace(
+        found = replace(
             self,
             theta_i=self.theta_i[part],
             phi_i=self.phi_i[part],
@@ -141,6 +141,9 @@ class Record(MeasuredValues, Differentiated):
             stacked=isinstance(index, slice),
             back=None,
         )
+        if "estimates" in vars(self):
+            vars(found)["estimates"] = self.estimates[part]
+        return found
 
     def _checked_index(self, index: object) -> int:
         """Number of an incident direction; IndexError if the stack has no such one."""
@@ -308,7 +311,7 @@ class Record(MeasuredValues, Differentiated):
         """Settings that were asked for, with what the record knows of the others."""
         found = (WAVELENGTH.fullmatch(name) for name in self.channels)
         nm = tuple(float(match[1]) for match in found if match)
-        default, own = MeasurementSettings(), self.provenance
+        default, own = DEFAULTS, self.provenance
         return replace(
             default,
             **{name: getattr(asked, name) for name in reported_names(asked, own)},

@@ -354,15 +354,17 @@ def lost_light(record: Record) -> list[str]:
     @cache
     def error(number: int) -> float:
         """Statistical error of a direction, which takes longer than a few rays."""
-        look = record[number]
-        lower = _totals(look, "dht") if look.has_lower else []
-        return _largest_error(_totals(look, "dhr") + lower)
+        light = record.estimates[number]
+        totals = (light.total(i) for i in range(record.n_hemispheres))
+        limits = np.array([total.interval(LEVEL) for total in totals])
+        errors = (limits[:, 1] - limits[:, 0]) / 2
+        return float(np.max(errors, initial=MAX_STRAY, where=np.isfinite(errors)))
 
     def exceeds(row: str) -> bool:
         """Whether a row is above the statistical error in any direction."""
         return any(
             getattr(own, row) > error(number) * own.emitted
-            for number, own in enumerate(look.ledger for look in record)
+            for number, own in enumerate(tally.ledger for tally in record.tallies)
             if getattr(own, row) > MAX_STRAY * own.emitted
         )
 

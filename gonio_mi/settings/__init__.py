@@ -3,6 +3,7 @@
 from .declaration import Declaration, Kind, declarations, numpydoc, plugin_table
 from .measurement_settings import (
     COLLECTOR,
+    DEFAULTS,
     FILM,
     INTEGRATOR,
     Estimator,
@@ -12,6 +13,7 @@ from .values import Order
 
 __all__ = [
     "COLLECTOR",
+    "DEFAULTS",
     "Estimator",
     "FILM",
     "INTEGRATOR",

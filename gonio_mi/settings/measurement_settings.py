@@ -436,7 +436,7 @@ class MeasurementSettings:
     def among(cls, arguments: Mapping[str, Any]) -> MeasurementSettings:
         """Settings among the arguments of a measurement; defaults for the others."""
         names = declarations(cls).keys()
-        return cls().changed(**{k: v for k, v in arguments.items() if k in names})
+        return DEFAULTS.changed(**{k: v for k, v in arguments.items() if k in names})
 
     def of_plugin(self, plugin: str) -> dict[str, Any]:
         """Values of the settings that are properties of `plugin`, by name."""
@@ -498,3 +498,7 @@ class MeasurementSettings:
                 f"{did_you_mean(name, (*ARGUMENTS, *names))}"
             )
         return replace(self, **{k: v for k, v in given.items() if v is not None})
+
+
+# Settings of which nobody says anything.
+DEFAULTS = MeasurementSettings()

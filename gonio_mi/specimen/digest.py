@@ -62,8 +62,30 @@ def digest(things: Iterable[Any]) -> str:
     str
         Of 16 hexadecimal digits.
     """
-    each = sorted(map(_object_digest, things))
-    return hashlib.sha256("".join(each).encode()).hexdigest()[:LENGTH]
+    each = (
+        _object_digest(thing, foreign_plugins(thing), traversed(thing))
+        for thing in things
+    )
+    return _joined(each)
+
+
+def digest_and_parts(things: Iterable[mi.Object]) -> tuple[str, list[mi.Object]]:
+    """:func:`digest` of what holds no plugins in Python of others, and its parts.
+
+    The parts are all objects that Mitsuba tells of. It takes half as long.
+    """
+    each, parts = [], list[mi.Object]()
+    for thing in things:
+        parameters = traversed(thing)
+        each.append(_object_digest(thing, (), parameters))
+        parts += parameters.hierarchy
+    return _joined(each), parts
+
+
+def _joined(each: Iterable[str]) -> str:
+    """Digest of digests in any order."""
+    joined = "".join(sorted(each))
+    return hashlib.sha256(joined.encode()).hexdigest()[:LENGTH]
 
 
 def geometry_hash(shapes: Iterable[mi.Shape]) -> int:
@@ -71,29 +93,30 @@ def geometry_hash(shapes: Iterable[mi.Shape]) -> int:
 
     Of this process alone, and faster than a digest.
     """
-    parts = (part for shape in shapes for part in _parameters(shape, mi.Shape))
+    parts = (
+        part for shape in shapes for part in _parameters(traversed(shape), mi.Shape)
+    )
     return hash(tuple(map(hash, parts)))
 
 
-def _object_digest(thing: Any) -> str:
-    """SHA-256 of one object, hexadecimal."""
+def _object_digest(thing: Any, foreign: Iterable[mi.Object], parameters: Any) -> str:
+    """SHA-256 of one object, hexadecimal; `parameters` are what is traversed of it."""
     found = hashlib.sha256()
     for text in _texts(thing):
         found.update(ADDRESS.sub("", text).encode())
         for path in map(Path, FILE.findall(text)):
             if path.is_file():
                 found.update(path.read_bytes())
-    for plugin in foreign_plugins(thing):
+    for plugin in foreign:
         for name, value in sorted(vars(plugin).items()):
             found.update(name.encode() + b"".join(_state(value)))
-    for part in _parameters(thing):
+    for part in _parameters(parameters):
         found.update(part)
     return found.hexdigest()
 
 
-def _parameters(thing: Any, kind: type = object) -> Iterator[bytes]:
-    """Names and values of what ``mi.traverse`` gives of objects of some `kind`."""
-    parameters = traversed(thing)
+def _parameters(parameters: Any, kind: type = object) -> Iterator[bytes]:
+    """Names and values of what ``mi.traverse`` gives, of objects of some `kind`."""
     # the order of keys is not that of another process
     for key in sorted(parameters.properties):
         handle, _, node, *_ = parameters.properties[key]
@@ -129,7 +152,7 @@ def _state(value: Any) -> Iterator[bytes]:
             yield array.tobytes()
     elif isinstance(value, mi.Object):
         yield ADDRESS.sub("", _text(value)).encode()
-        yield from _parameters(value)
+        yield from _parameters(traversed(value))
 
 
 def _texts(thing: Any) -> Iterator[str]:
@@ -159,8 +182,13 @@ SCRIPTS = ("__main__", "__mp_main__")
 _known: weakref.WeakKeyDictionary[type, frozenset[str]] = weakref.WeakKeyDictionary()
 
 
-def plugins_digest(things: Iterable[mi.Object]) -> str | None:
-    """Digest of the plugins in Python among objects of a scene and what they hold.
+def kinds_of(things: Iterable[mi.Object]) -> set[type]:
+    """Classes of objects of a scene and of what they hold."""
+    return {type(held) for thing in things for held in held_objects(thing)}
+
+
+def plugins_digest(kinds: Iterable[type]) -> str | None:
+    """Digest of the plugins in Python among classes of objects of a scene.
 
     Of the files that define their classes and of the local files and packages that
     import statements name there, as they were when a class was first met; for a class
@@ -170,7 +198,8 @@ def plugins_digest(things: Iterable[mi.Object]) -> str | None:
 
     Parameters
     ----------
-    things : iterable of mi.Object
+    kinds : iterable of type
+        Of :func:`kinds_of`.
 
     Returns
     -------
@@ -179,7 +208,7 @@ def plugins_digest(things: Iterable[mi.Object]) -> str | None:
         be found.
     """
     texts: set[str] = set()
-    for kind in {type(held) for thing in things for held in held_objects(thing)}:
+    for kind in set(kinds):
         if kind not in _known:
             _known[kind] = frozenset(_class_texts(kind))
         texts |= _known[kind]

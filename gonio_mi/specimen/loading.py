@@ -32,7 +32,7 @@ from ..errors import (
 )
 from ..files.tensor_file import check_measured
 from ..kernels import launches_kernels
-from ..settings.values import checked_period
+from ..settings.values import Period, checked_period
 from ..surfaces.height_maps import is_height_map
 from ..surfaces.meshes import is_mesh
 from ..threads import two_threads
@@ -147,10 +147,15 @@ def specimen_of(
     if isinstance(specimen, Specimen):
         return specimen
     scene, files = _scene(specimen, parameters, period)
+    period = period_of(scene, period)
+    return Specimen(scene, period, specimen_name(specimen, parameters), files)
+
+
+def period_of(scene: mi.Scene, period: Any = None) -> Period:
+    """Period that is given, else that of the scene's integrator, else none."""
     if period is None:
         period = own_settings(scene).get("period", "none")
-    period = checked_period("period", period)
-    return Specimen(scene, period, specimen_name(specimen, parameters), files)
+    return checked_period("period", period)
 
 
 @launches_kernels(is_parallel)
@@ -251,7 +256,7 @@ def _with_advice(text: str) -> str:
         own = "; import your own plugins first, or name their file with --plugin"
         if missing[1] in CALLED:
             return f"{text.rstrip('!')}; did you mean {CALLED[missing[1]]}?"
-        known = [*(_registered - {missing[1]}), *_plugin_files()]
+        known = [*(_registered - {missing[1]}), *plugin_files()]
         return text.rstrip("!") + (did_you_mean(missing[1], known) or own)
     if variant := re.search(r"require the use of an? (RGB|spectral) variant", text):
         return f"{text.rstrip('!')}, such as llvm_ad_{variant[1].lower()}"
@@ -311,7 +316,7 @@ def _no_metal(word: str) -> str:
     return f"material must be one of {', '.join(few)}, got {shown(word)}{meant}"
 
 
-def _plugin_files() -> dict[str, Path]:
+def plugin_files() -> dict[str, Path]:
     """Files of Mitsuba's plugins and of ours, by plugin name."""
     folders = Path(mi.__file__).parent, Path(__file__).parents[1]
     files = [path for one in folders for path in (one / "plugins").rglob("*.*")]
@@ -322,7 +327,7 @@ def _plugin_files() -> dict[str, Path]:
 
 def _manual_names(plugin: str) -> set[str]:
     """Parameters of one of our plugins, from its manual page; none of others."""
-    path = _plugin_files().get(plugin, Path())
+    path = plugin_files().get(plugin, Path())
     if path.suffix != ".py":
         return set()
     rows = " ".join(re.findall(r"\* - ([a-z].+)", path.read_text("utf-8")))

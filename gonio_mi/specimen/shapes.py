@@ -33,6 +33,9 @@ MIXED = 0x9E3779B97F4A7C15
 # of 0.55 s. Mitsuba's objects take no weak reference, so there is one scene at most.
 _last: list[Any] = []
 
+# The specimen that :mod:`.kept` keeps of the last measurement, if any.
+kept: list[Any] = []
+
 
 def groups_of(scene: mi.Scene) -> list[mi.Shape]:
     """List of the shape groups of `scene`, without which no instance can be built."""
@@ -77,6 +80,7 @@ def scene_of(shapes: Sequence[mi.Shape], groups: Sequence[mi.Shape] = ()) -> mi.
 def forget() -> None:
     """Free what was built last, before what cannot be the same is loaded."""
     _last.clear()
+    kept.clear()
 
 
 def remember(scene: mi.Scene) -> None:

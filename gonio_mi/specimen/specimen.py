@@ -20,7 +20,7 @@ from ..kernels import in_memory
 from ..mitsuba_compat import MINIMAL, SURFACE, has_normals, recompute_box
 from ..settings.values import Period
 from .bsdf_trial import check_works, warn_of_roughness
-from .digest import digest
+from .digest import digest, digest_and_parts, kinds_of
 from .media import check_media, media_of, phase_defect
 from .plane import Plane
 from .rays import RETREAT, START, SURFACE_OFFSET, escapes, intersect
@@ -150,7 +150,7 @@ class Specimen:
         _ = self.box  # not while a kernel is being recorded
         if self.plane is None:
             self._warn_of_distance()
-        if self._holds_foreign:
+        if self.holds_foreign:
             _ = self.digest  # before plugins are called, which may count their calls
         _ = self.description
 
@@ -168,7 +168,7 @@ class Specimen:
         return [shape for shape in self.source.shapes() if not shape.is_emitter()]
 
     @cached_property
-    def _holds_foreign(self) -> bool:
+    def holds_foreign(self) -> bool:
         """Whether the shapes hold plugins in Python of others."""
         return any(map(holds_foreign_plugins, self._shapes))
 
@@ -265,7 +265,7 @@ class Specimen:
         ray = mi.Ray3f(above, mi.Vector3f(0, 0, -1))
         si = intersect(self.scene, ray, SURFACE, True)
         dr.make_opaque(si)
-        return Plane(shape.bsdf(), si, by_ray=self._holds_foreign)
+        return Plane(shape.bsdf(), si, by_ray=self.holds_foreign)
 
     @cached_property
     def transmits(self) -> bool:
@@ -301,8 +301,24 @@ class Specimen:
     @cached_property
     def digest(self) -> str:
         """:func:`~gonio_mi.specimen.digest.digest` of its shapes, taken once."""
+        return digest(self._digested())
+
+    def state(self) -> tuple[str, list[mi.Object]]:
+        """Digest as it would be now, and what the shapes are and hold.
+
+        For one that holds no plugins in Python of others.
+        """
+        return digest_and_parts(self._digested())
+
+    def _digested(self) -> list[mi.Shape]:
+        """Shapes, those of groups and those that are repeated."""
         repeated = [*self.groups, *self.surfaces] if self.groups else []
-        return digest([*self.scene.shapes(), *repeated])
+        return [*self.scene.shapes(), *repeated]
+
+    @cached_property
+    def kinds(self) -> set[type]:
+        """Classes of what its shapes are and hold."""
+        return kinds_of(self.scene.shapes())
 
     @property
     def size(self) -> float:

@@ -124,7 +124,7 @@ class Curve:
         own = self.end - self.begin
         start, outside = (dr.opaque(mi.UInt32, x) for x in (start, own))
         index = dr.select(step < dr.opaque(mi.UInt32, n), index, start + outside)
-        joined = together << bits - leading_digits(*FOOTPRINT, bits)
+        joined = together << bits - _leading_digits(bits)
         if joined > 1:
             index, sequence = sorted_within(joined, eighth, index, sequence)
         dr.eval(index, sequence)
@@ -186,6 +186,18 @@ def _whole_packets(idle: mi.UInt32, lane: mi.UInt32, chunk: int) -> mi.UInt32:
 
 
 @cache
+def _leading_digits(bits: int) -> int:
+    """:func:`leading_digits` of the first two draws."""
+    return leading_digits(*FOOTPRINT, bits)
+
+
+@cache
+def _deciding_bits(number: int) -> int:
+    """:func:`deciding_bits` of the first two draws."""
+    return deciding_bits(*FOOTPRINT, number)
+
+
+@cache
 def _curve_table(kind: type[mi.UInt32]) -> mi.UInt32:
     """Tables of :func:`sorting_tables` for the first two draws, of a variant's type."""
     return kind(sorting_tables(*FOOTPRINT).ravel())
@@ -229,7 +241,7 @@ def curve_tables(base: int, bits: int, keys: mi.UInt32, n: int) -> mi.UInt32:
     for byte in range(4):
         at = (4 * whole + byte) * 256 + ((place >> 8 * byte) & 255)
         index = index ^ dr.gather(mi.UInt32, _curve_table(mi.UInt32), at)
-    known = dr.opaque(mi.UInt32, leading_digits(*FOOTPRINT, bits)) + 1 - draw >> 1
+    known = dr.opaque(mi.UInt32, _leading_digits(bits)) + 1 - draw >> 1
     one = mi.UInt32(1) << known
     plain = plain & (one - 1)
     # a digit is flipped or not by those before it in its own coordinate
@@ -274,7 +286,7 @@ def on_curve(
     y = dr.gather(mi.UInt32, tables, row + _every_other(digits >> 1))
     index = (x ^ y) & ((mi.UInt32(1) << whole) - 1)
     index = index ^ dr.opaque(mi.UInt32, base)
-    leading = leading_digits(*FOOTPRINT, bits)
+    leading = _leading_digits(bits)
     # a place is longer along y if x has one more digit
     taller = dr.opaque(mi.Bool, leading % 2 == 1)
     flips = x >> INDEX_BITS, y >> INDEX_BITS
@@ -288,7 +300,7 @@ def on_curve(
 
 def _digit(index: mi.UInt32, number: int) -> mi.UInt32:
     """Unscrambled digit of the place of points, by the digit's number."""
-    mask = dr.opaque(mi.UInt32, deciding_bits(*FOOTPRINT, number))
+    mask = dr.opaque(mi.UInt32, _deciding_bits(number))
     return dr.popcnt(index & mask) & 1
 
 

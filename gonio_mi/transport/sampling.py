@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -270,11 +269,15 @@ def _mixed(words: Numbers) -> Numbers:
     """Seeds from so many words each, by the function `seed_seq_fe` of O'Neill 2015."""
     factor = 0x43B0D7E5
 
-    def hashed(x: Numbers) -> Numbers:
+    def hashed(x: Numbers, n: int) -> Numbers:
+        """Each of `n` words, or one `n` times, with the next `n` factors."""
         nonlocal factor
-        x = x ^ np.uint32(factor)
-        factor = factor * 0x931E8875 % 2**32
-        x = x * np.uint32(factor)
+        factors = [factor]
+        for _ in range(n):
+            factors.append(factors[-1] * 0x931E8875 % 2**32)
+        factor = factors[-1]
+        column = np.array(factors, np.uint32)[:, None]
+        x = (x ^ column[:-1]) * column[1:]
         return x ^ (x >> 16)
 
     def mixed(x: Numbers, y: Numbers) -> Numbers:
@@ -283,11 +286,14 @@ def _mixed(words: Numbers) -> Numbers:
         return z ^ (z >> 16)
 
     words = words.astype(np.uint32)
-    first = [*words[:4], *np.zeros((4, words.shape[1]), np.uint32)][:4]
-    pool = [hashed(word) for word in first]
-    for i, j in itertools.permutations(range(4), 2):
-        pool[j] = mixed(pool[j], hashed(pool[i]))
+    n_first = min(len(words), 4)
+    pool = np.zeros((4, words.shape[1]), np.uint32)
+    pool[:n_first] = words[:n_first]
+    pool = hashed(pool, 4)
+    for i in range(4):
+        others = [j for j in range(4) if j != i]
+        pool[others] = mixed(pool[others], hashed(pool[i], 3))
     for word in words[4:]:
-        pool = [mixed(one, hashed(word)) for one in pool]
+        pool = mixed(pool, hashed(word, 4))
     seed: Numbers = (pool[0] ^ 0x8B51F9DD) * np.uint32(0x8B51F9DD * 0x58F38DED % 2**32)
     return seed ^ (seed >> 16)

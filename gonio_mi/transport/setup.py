@@ -13,7 +13,7 @@ import numpy as np
 from ..results.tally import Fate
 from ..settings.measurement_settings import MeasurementSettings
 from ..settings.values import Order
-from ..specimen.digest import plugins_digest
+from ..specimen.digest import kinds_of, plugins_digest
 from ..specimen.specimen import Specimen
 from ..specimen.wavelengths import passes
 from .beam import Beam
@@ -189,11 +189,13 @@ class Setup:
     @property
     def digests(self) -> dict[str, str | None]:
         """What tells the specimen and the emitter from others, for the settings."""
-        things = [*self.specimen.scene.shapes(), self.beam.emitter]
+        emitter = self.beam.emitter
+        # without a source it is a collimated one of ours, which holds nothing
+        lit = {type(emitter)} if self.source is None else kinds_of([emitter])
         return {
             "digest": self.specimen.digest,
             "emitter_digest": self.emitter_digest,
-            "plugin_digest": plugins_digest(things),
+            "plugin_digest": plugins_digest(self.specimen.kinds | lit),
         }
 
     def bins(self, exits: Exits) -> mi.UInt32:

@@ -22,6 +22,7 @@ import gonio_mi as gonio
 from gonio_mi.campaigns import tasks
 from gonio_mi.cli import main
 from gonio_mi.specimen import loading
+from gonio_mi.specimen.shapes import forget
 
 SPECIMENS = {
     "matt": {"type": "diffuse"},
@@ -285,6 +286,7 @@ def test_a_specimen_is_loaded_once_in_a_row(tmp_path, monkeypatch):
     assert len(list(tmp_path.glob("0*.npz"))) == 3
     assert len(loads) == 1
     for number, theta_i in enumerate((0, 30, 60)):
+        forget()  # else it would be kept
         assert gonio.measure(plate, theta_i, **how).tallies == found[number].tallies
     assert len(loads) == 4
 
