@@ -53,7 +53,7 @@ def _p_value_of_sum(value: float, weights: Floats, dof: Floats) -> float:
     By the saddlepoint of Lugannani and Rice in the form of Barndorff-Nielsen (Kuonen
     1999, Biometrika 86, 929), to a few per cent of itself however small it is.
     """
-    mean, sd = dof @ weights, np.sqrt(2 * dof @ weights**2)
+    mean, sd = float(dof @ weights), float(np.sqrt(2 * dof @ weights**2))
     if value <= 0:
         return 1.0
     if abs(value - mean) < NEAR_MEAN * sd:

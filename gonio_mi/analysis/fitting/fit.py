@@ -168,6 +168,7 @@ def _result(
         model=fitted,
         measured=search.measured(values) if isinstance(search, SceneSearch) else None,
         derivatives=search.derivatives,
+        notes=search.notes,
     )
 
 

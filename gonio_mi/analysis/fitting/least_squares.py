@@ -80,6 +80,11 @@ class Search:
         self._predictions = [each for one in observations for each in one.predictions]
         self._order = observations[0].order  # a table is alone
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """See :class:`.Fit`; there is nothing to say."""
+        return ()
+
     def found(self) -> tuple[Floats, Floats]:
         """Values of the parameters, and their covariance."""
         values, names = self.begin(), self.model.names
