@@ -128,7 +128,7 @@ def _fitted_scale(sets: Sequence[PointPairs], scale: float) -> float:
         apart = one.mine.value - one.other.value
         pull += np.sum(one.other.value * apart * inverse)
         weight += np.sum(one.other.value**2 * inverse)
-    return pull / weight
+    return float(pull / weight)
 
 
 @dataclass

@@ -15,6 +15,7 @@ from ...errors import (
     SettingError,
     SettingTypeError,
     abridged,
+    abridged_apart,
     checked_number,
     shown,
 )
@@ -40,7 +41,7 @@ from .pairing import (
     same_rays,
 )
 from .patch_variation import left_undecided
-from .table_pairs import pair_at_table, pair_with_table
+from .table_pairs import pair_at_table, pair_with_table, table_names
 
 # Note on a record of integrals.
 OF_EVAL = (
@@ -276,9 +277,12 @@ def _paired(
         scale = other.scale_uncertainty
     if isinstance(first, (MeasuredTable, Model)):
         sets, notes = pair_at_table(first, other, relative)
+        one, two = _label(first), _label(other)
         if isinstance(first, MeasuredTable):
             scale = float(np.hypot(scale, first.scale_uncertainty))
-        return sets, notes, (_label(first), _label(other)), scale
+            if isinstance(other, MeasuredTable):
+                one, two = abridged_apart(table_names(first, other), LABEL)
+        return sets, notes, (one, two), scale
     record, told = first[0], []
     if isinstance(other, MeasuredTable):
         sets, notes = pair_with_table(first, other)

@@ -19,6 +19,7 @@ from ...results.record import Record
 from ...results.tally import holds_integrals
 from ...settings import MeasurementSettings, declarations
 from ..points import CountedPoints, Model, Points
+from ..points.predictions import near_field
 from .agreement import PointPairs
 
 
@@ -64,7 +65,7 @@ def pair_with_model(
         here = Detectors.of(record, k, record.n_hemispheres)
         found = model.points(record[k]).with_stated(relative)
         sets.append(here.paired(found, sharing(record)[k]))
-    return sets, fitted_to(model, record)
+    return sets, [*fitted_to(model, record), *unlike_model(record, model)]
 
 
 @dataclass(eq=False)
@@ -170,14 +171,19 @@ CONDITIONS = (
     *("collector_radius", "period", "order", "max_depth", "max_scatterings"),
 )
 
+# Those that a model is known by: it has light of any side, from far away.
+OF_MODELS = ("order", "max_depth", "max_scatterings")
 
-def unlike_conditions(record: Record, other: Record) -> list[str]:
+
+def unlike_conditions(
+    record: Record, other: Record, names: Sequence[str] = CONDITIONS
+) -> list[str]:
     """A note on the conditions in which two records differ; none if they do not."""
     mine, theirs = conditions_of(record), conditions_of(other)
     cut = record.ledger.truncated or other.ledger.truncated
     unlike = [
         f"{name} {abridged(str(mine[name]), 60)} and {abridged(str(theirs[name]), 60)}"
-        for name in CONDITIONS
+        for name in names
         if name in mine.keys() & theirs.keys()
         and mine[name] != theirs[name]
         and (cut or name not in ("max_depth", "max_scatterings"))
@@ -186,6 +192,15 @@ def unlike_conditions(record: Record, other: Record) -> list[str]:
     if mine.get(key) != theirs.get(key) and mine["emitter"] == theirs["emitter"]:
         unlike.append(f"emitters that are both {mine['emitter']}, but not the same")
     return [UNLIKE + ", ".join(unlike)] if unlike else []
+
+
+def unlike_model(record: Record, model: Model) -> list[str]:
+    """Notes on conditions of a record that a model does not have."""
+    own = model.record
+    notes = [UNLIKE + one for one in near_field(record)]
+    if isinstance(own, Record):
+        notes += unlike_conditions(record, own, OF_MODELS)
+    return notes
 
 
 def fitted_to(model: Model, data: Record | MeasuredTable) -> list[str]:

@@ -17,6 +17,7 @@ from ...errors import (
     checked_choice,
     checked_number,
     did_you_mean,
+    number_of,
     shown,
 )
 from ...specimen.loading import loaded
@@ -90,8 +91,8 @@ class Search:
         values, names = self.begin(), self.model.names
         if self.values.size <= len(names):
             raise SettingError(
-                f"a fit of {', '.join(names)} needs more than {len(names)} values, got "
-                f"{self.values.size}"
+                f"a fit of {', '.join(names)} needs more than "
+                f"{number_of(len(names), 'value')}, got {self.values.size}"
             )
         for _ in range(MAX_ROUNDS):
             self.adapt(values)

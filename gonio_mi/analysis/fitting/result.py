@@ -85,8 +85,8 @@ class Fit(Model):
     derivatives : {"exact", "differences"}
         By what the search and the uncertainties know how the model changes.
     notes : tuple of str
-        Of a scene, where the search began if that is not clear, and why derivatives by
-        some of its parameters are differences.
+        What a reader of the result should know: of a scene, where the search began if
+        that is not clear, and why derivatives by some parameters are differences.
     """
 
     record: Record | MeasuredTable
@@ -366,8 +366,8 @@ class Fit(Model):
         )
         if self.reduced_chi2 > MAX_REDUCED_CHI2:
             lines.append(
-                "  the model does not follow the record within its noise, which is all "
-                "that +- stands for"
+                f"  the model does not follow the {what} within its noise, which is "
+                "all that +- stands for"
             )
         if isinstance(self.record, Record) and not without_chance(self.record.tallies):
             hits = int(self.record.counts.sum())
