@@ -65,7 +65,7 @@ def pair_with_model(
         here = Detectors.of(record, k, record.n_hemispheres)
         found = model.points(record[k]).with_stated(relative)
         sets.append(here.paired(found, sharing(record)[k]))
-    return sets, [*fitted_to(model, record), *unlike_model(record, model)]
+    return sets, notes_on_model(model, record)
 
 
 @dataclass(eq=False)
@@ -194,23 +194,30 @@ def unlike_conditions(
     return [UNLIKE + ", ".join(unlike)] if unlike else []
 
 
-def unlike_model(record: Record, model: Model) -> list[str]:
-    """Notes on conditions of a record that a model does not have."""
-    own = model.record
-    notes = [UNLIKE + one for one in near_field(record)]
-    if isinstance(own, Record):
-        notes += unlike_conditions(record, own, OF_MODELS)
-    return notes
-
-
-def fitted_to(model: Model, data: Record | MeasuredTable) -> list[str]:
-    """A note on values to which a model was fitted; none on others."""
+def notes_on_model(model: Model, data: Record | MeasuredTable) -> list[str]:
+    """Notes on a model beside what it was fitted to, or what is measured otherwise."""
     own = model.record
     if isinstance(own, MeasuredTable) and isinstance(data, MeasuredTable):
         is_it = own.name == data.name
     else:
         is_it = own is data
-    return [f"{model.label} was {FITTED}"] * is_it
+    notes = [f"{model.label} was {FITTED}"] * is_it
+    here, known = map(_channels, (data, own))
+    if here and known and not {*here} <= {*known}:
+        texts = (abridged(", ".join(one), 60) for one in (here, known))
+        notes.append(UNLIKE + "channels " + " and ".join(texts))
+    if isinstance(data, Record):
+        notes += [UNLIKE + one for one in near_field(data)]
+        if isinstance(own, Record):
+            notes += unlike_conditions(data, own, OF_MODELS)
+    return notes
+
+
+def _channels(one: Record | MeasuredTable) -> tuple[str, ...]:
+    """Names of channels; none of what is grey."""
+    if isinstance(one, MeasuredTable):
+        return (one.channel,) if one.channel else ()
+    return () if one.channels == ("Y",) else one.channels
 
 
 Measured: TypeAlias = Record | MeasuredTable | Model

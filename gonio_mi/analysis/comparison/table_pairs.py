@@ -20,7 +20,7 @@ from ...results.azimuth_symmetry import sharing
 from ...results.record import Record
 from ..points import CountedPoints, Model, Points
 from .agreement import PointPairs
-from .pairing import UNLIKE, conditions_of, fitted_to, incident_of, same_direction
+from .pairing import UNLIKE, conditions_of, incident_of, notes_on_model, same_direction
 from .patch_variation import REMEDY, variation_within
 
 DIRECTIONS = ("theta_i", "phi_i", "theta_o", "phi_o")
@@ -109,10 +109,10 @@ def pair_at_table(
         Standard uncertainty of the values of a model that is the other.
     """
     if not isinstance(other, MeasuredTable):
-        table, notes = first, [*fitted_to(other, first), *_stated(first)]
+        table, notes = first, [*notes_on_model(other, first), *_stated(first)]
         mine, theirs = _values(table), other.points(table).with_stated(relative)
     elif isinstance(first, Model):
-        table, notes = other, [*fitted_to(first, other), *_stated(other)]
+        table, notes = other, [*notes_on_model(first, other), *_stated(other)]
         mine, theirs = first.points(table), _values(table)
     else:
         table, mine, theirs, notes = _common(first, other)

@@ -265,6 +265,29 @@ def test_a_near_collector_is_told():
     assert gonio.fit(point, "roughconductor:material=none", FREE).notes == ()
 
 
+def test_a_fit_beside_another_wavelength_is_told():
+    """Of a record and of a table; twin: of the same one there is nothing to say."""
+    mi.set_variant("llvm_ad_spectral")
+    white = {"type": "diffuse", "reflectance": 0.5}
+    records = [
+        gonio.measure(white, 30, rays=2000, seed=nm, wavelengths=[nm], **BEAM)
+        for nm in (550, 650)
+    ]
+    fit = gonio.fit(records[0], "diffuse")
+    again = gonio.measure(white, 45, rays=2000, seed=1, wavelengths=[550], **BEAM)
+    said = "and may change what is measured: channels 650nm and 550nm"
+    notes = [
+        " ".join(gonio.compare(one, fit).notes)
+        for one in (
+            records[1],
+            replace(table(), channel="650nm"),
+            again,
+            replace(table(), channel="550nm"),
+        )
+    ]
+    assert [said in one for one in notes] == [True, True, False, False]
+
+
 def test_a_fit_beside_another_order_is_told():
     fit = fitted()
     record = gonio.measure(METAL, 45, rays=2000, seed=9, order="1", **BEAM)
