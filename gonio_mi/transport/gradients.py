@@ -66,21 +66,26 @@ class Gradients:
     def of_names(cls, scene: mi.Scene, names: Sequence[str]) -> Gradients:
         """By each number of parameters, named as by `mi.traverse`.
 
-        Of the scene, or of its only BSDF.
+        Of the scene, or of its only BSDF; several that are one are joined by ``+``.
         """
         found, columns = cls(scene), []
         for name in names:
-            key = found._key(name)
-            n = found._n_numbers(name, key)
+            keys = [found._key(part) for part in name.split("+")]
+            n, *others = [found._n_numbers(name, key) for key in keys]
             if not 1 <= n <= MAX_NUMBERS:
                 raise SettingError(
                     f"gradients are of parameters of 1 to {MAX_NUMBERS} numbers, got "
                     f"{name} with {n}: take dr.backward of mi.render(scene, params) "
                     "with the integrator goniophotometer"
                 )
+            if len({*keys}) < len(keys) or {*others} - {n}:
+                raise SettingError(
+                    "gradients must join parameters of as many numbers, each once, got "
+                    f"{shown(name)}"
+                )
             for i, direction in enumerate(np.eye(n)):
                 own = name if n == 1 else f"{name}[{i}]"
-                columns.append(Column(own, {key: direction}))
+                columns.append(Column(own, dict.fromkeys(keys, direction)))
         found.columns = tuple(columns)
         return found
 

@@ -13,6 +13,7 @@ from ...array_types import Flags, Floats
 from ...results.statistics import student_score, two_sided_score
 from ...single_precision import FEW_ROUNDINGS
 from ..points import CountedPoints, Points
+from .sum_of_squares import p_value_of_squares
 
 # Below this many hits the mean of batches is too skewed for Student's t far out: its
 # two-sided tail at 1e-5 is 1.3 times too heavy at 1000 hits, 4.4 times at 100.
@@ -71,16 +72,18 @@ def judge(
     statistics, p_values : dict of float
     """
     fitted = _fitted_scale(sets, scale)
-    scores, errors, trace2 = [], [], 0.0
+    scores, errors, common, trace2 = [], [], [], 0.0
     totals: dict[object, _Total] = {}
     for one in sets:
         shared = scale * np.abs(one.other.value)
         z, sigma = _scores(one, 1 + fitted)
         scores.append(z)
         errors.append(np.hypot(one.other.error, shared))
+        common.append(_common_roots(one, sigma))
         trace2 += one.sharing * _trace_of_square(one, sigma)
         for key in set(one.total_of):
             _add_total(totals.setdefault(key, _Total()), one, key, shared)
+    trace2 += _trace_between(sets, common)
     z = np.concatenate(scores)
     n = len(z)
     pull = fitted / scale if scale else 0.0
@@ -96,7 +99,7 @@ def judge(
         "total": max(total, default=np.nan),
     }
     p_values = {
-        "chi2": float(scipy.special.chdtrc(dof, chi2 * dof / n)),
+        "chi2": p_value_of_squares(chi2, trace2, np.hstack(common), most),
         "worst": _p_value_of_largest(worst, n),
         "total": _p_value_of_largest(statistics["total"], len(total)) if total else 1.0,
     }
@@ -125,7 +128,7 @@ def _fitted_scale(sets: Sequence[PointPairs], scale: float) -> float:
         apart = one.mine.value - one.other.value
         pull += np.sum(one.other.value * apart * inverse)
         weight += np.sum(one.other.value**2 * inverse)
-    return pull / weight
+    return float(pull / weight)
 
 
 @dataclass
@@ -174,8 +177,9 @@ def _errors(one: PointPairs, factor: float) -> tuple[Floats, Floats, Flags, Flag
     sigma2 = mine.error**2 + other.error**2 + rounding**2
     if one.variation is not None:
         sigma2 = sigma2 + np.maximum(one.variation.hidden, 0)
-    welch = np.maximum(mine.welch + other.welch, np.finfo(float).tiny)
-    dof = np.minimum(sigma2**2 / welch, np.minimum(mine.dof, other.dof))
+    welch, dof = mine.welch + other.welch, np.full(len(sigma2), np.inf)
+    np.divide(sigma2**2, welch, out=dof, where=welch > 0)
+    dof = np.minimum(dof, np.minimum(mine.dof, other.dof))
     hits = np.minimum(mine.hits, other.hits)
     return sigma2, dof, hits < MIN_STUDENT_HITS, hits == 0
 
@@ -289,6 +293,27 @@ def _trace_of_square(one: PointPairs, sigma: Floats) -> float:
         trace += diagonal + max(0.0, (beside - chance) / (1 - 1 / dof))
         trace += 2 * np.sum(share * rest)
     return float(trace)
+
+
+def _common_roots(one: PointPairs, sigma: Floats) -> Floats:
+    """Roots of the correlation that is known: errors of the sets together.
+
+    A fit's parameters are off by the same at all directions; of what batches tell, each
+    set has its own.
+    """
+    known = (side.correlation(sigma) for side in (one.mine, one.other))
+    roots = [root for root, dof in known if np.isinf(dof)]
+    return np.vstack([np.zeros((0, len(sigma))), *roots])
+
+
+def _trace_between(sets: Sequence[PointPairs], common: Sequence[Floats]) -> float:
+    """What errors in common add to the trace of R^2 between points of unlike sets.
+
+    Copies of one direction have counted each other already, with all their errors.
+    """
+    squares = [root @ root.T for root in common]
+    own = sum(one.sharing * np.sum(square**2) for one, square in zip(sets, squares))
+    return max(float(np.sum(np.sum(squares, axis=0) ** 2) - own), 0.0)
 
 
 def _p_value_of_largest(z: float, n: int) -> float:

@@ -15,6 +15,7 @@ from ...errors import (
     SettingError,
     SettingTypeError,
     abridged,
+    abridged_apart,
     checked_number,
     shown,
 )
@@ -40,7 +41,7 @@ from .pairing import (
     same_rays,
 )
 from .patch_variation import left_undecided
-from .table_pairs import pair_at_table, pair_with_table
+from .table_pairs import pair_at_table, pair_with_table, table_names
 
 # Note on a record of integrals.
 OF_EVAL = (
@@ -80,7 +81,8 @@ def compare(
 
     * the sum of the squares of z (and of the fitted common factor, in units of its
       uncertainty), as a chi-square whose degrees of freedom ``n**2 / trace(R**2)`` come
-      from the correlation R of the points that the batches tell;
+      from the correlation R of the points that the batches tell. Errors of a fit's
+      parameters are common to all directions, and each is a chi-square of its own.
       Quasi-Monte Carlo rays (`sobol`) scatter less than the exact test of few hits
       allows: with fewer than 1000 hits in most patches this test has next to no power,
       on the safe side, and a note says so;
@@ -99,7 +101,7 @@ def compare(
     other : Record, MeasuredTable, Fit, dict, str or path
         A specimen is measured as the record was. A fit has the values of its model at
         the detectors of a record, or at the points of a table, with the covariance of
-        its parameters.
+        its parameters. Of two tables values of one direction count as their mean.
         A record must have the same collector, channels and incident directions: there
         is no honest way from one set of patch means to another. Where only one has a
         lower hemisphere, no light may have come there. Of records of polarised variants
@@ -276,9 +278,12 @@ def _paired(
         scale = other.scale_uncertainty
     if isinstance(first, (MeasuredTable, Model)):
         sets, notes = pair_at_table(first, other, relative)
+        one, two = _label(first), _label(other)
         if isinstance(first, MeasuredTable):
             scale = float(np.hypot(scale, first.scale_uncertainty))
-        return sets, notes, (_label(first), _label(other)), scale
+            if isinstance(other, MeasuredTable):
+                one, two = abridged_apart(table_names(first, other), LABEL)
+        return sets, notes, (one, two), scale
     record, told = first[0], []
     if isinstance(other, MeasuredTable):
         sets, notes = pair_with_table(first, other)

@@ -19,6 +19,7 @@ from ...results.record import Record
 from ...results.tally import holds_integrals
 from ...settings import MeasurementSettings, declarations
 from ..points import CountedPoints, Model, Points
+from ..points.predictions import near_field
 from .agreement import PointPairs
 
 
@@ -64,7 +65,7 @@ def pair_with_model(
         here = Detectors.of(record, k, record.n_hemispheres)
         found = model.points(record[k]).with_stated(relative)
         sets.append(here.paired(found, sharing(record)[k]))
-    return sets, fitted_to(model, record)
+    return sets, notes_on_model(model, record)
 
 
 @dataclass(eq=False)
@@ -170,14 +171,19 @@ CONDITIONS = (
     *("collector_radius", "period", "order", "max_depth", "max_scatterings"),
 )
 
+# Those that a model is known by: it has light of any side, from far away.
+OF_MODELS = ("order", "max_depth", "max_scatterings")
 
-def unlike_conditions(record: Record, other: Record) -> list[str]:
+
+def unlike_conditions(
+    record: Record, other: Record, names: Sequence[str] = CONDITIONS
+) -> list[str]:
     """A note on the conditions in which two records differ; none if they do not."""
     mine, theirs = conditions_of(record), conditions_of(other)
     cut = record.ledger.truncated or other.ledger.truncated
     unlike = [
         f"{name} {abridged(str(mine[name]), 60)} and {abridged(str(theirs[name]), 60)}"
-        for name in CONDITIONS
+        for name in names
         if name in mine.keys() & theirs.keys()
         and mine[name] != theirs[name]
         and (cut or name not in ("max_depth", "max_scatterings"))
@@ -188,14 +194,30 @@ def unlike_conditions(record: Record, other: Record) -> list[str]:
     return [UNLIKE + ", ".join(unlike)] if unlike else []
 
 
-def fitted_to(model: Model, data: Record | MeasuredTable) -> list[str]:
-    """A note on values to which a model was fitted; none on others."""
+def notes_on_model(model: Model, data: Record | MeasuredTable) -> list[str]:
+    """Notes on a model beside what it was fitted to, or what is measured otherwise."""
     own = model.record
     if isinstance(own, MeasuredTable) and isinstance(data, MeasuredTable):
         is_it = own.name == data.name
     else:
         is_it = own is data
-    return [f"{model.label} was {FITTED}"] * is_it
+    notes = [f"{model.label} was {FITTED}"] * is_it
+    here, known = map(_channels, (data, own))
+    if here and known and not {*here} <= {*known}:
+        texts = (abridged(", ".join(one), 60) for one in (here, known))
+        notes.append(UNLIKE + "channels " + " and ".join(texts))
+    if isinstance(data, Record):
+        notes += [UNLIKE + one for one in near_field(data)]
+        if isinstance(own, Record):
+            notes += unlike_conditions(data, own, OF_MODELS)
+    return notes
+
+
+def _channels(one: Record | MeasuredTable) -> tuple[str, ...]:
+    """Names of channels; none of what is grey."""
+    if isinstance(one, MeasuredTable):
+        return (one.channel,) if one.channel else ()
+    return () if one.channels == ("Y",) else one.channels
 
 
 Measured: TypeAlias = Record | MeasuredTable | Model

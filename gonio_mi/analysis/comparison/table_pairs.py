@@ -14,13 +14,13 @@ from ...array_types import Flags, Floats, Integers
 from ...collector.apertures import is_above
 from ...collector.directions import direction
 from ...collector.hemisphere import EDGE
-from ...errors import SettingError, abridged
-from ...files.measured_table import MeasuredTable
+from ...errors import SettingError, abridged, number_of
+from ...files.measured_table import COLUMNS, MeasuredTable
 from ...results.azimuth_symmetry import sharing
 from ...results.record import Record
 from ..points import CountedPoints, Model, Points
 from .agreement import PointPairs
-from .pairing import UNLIKE, conditions_of, fitted_to, incident_of, same_direction
+from .pairing import UNLIKE, conditions_of, incident_of, notes_on_model, same_direction
 from .patch_variation import REMEDY, variation_within
 
 DIRECTIONS = ("theta_i", "phi_i", "theta_o", "phi_o")
@@ -109,18 +109,15 @@ def pair_at_table(
         Standard uncertainty of the values of a model that is the other.
     """
     if not isinstance(other, MeasuredTable):
-        table, rows, notes = first, np.arange(len(first)), fitted_to(other, first)
-        notes += _stated(table)
+        table, notes = first, [*notes_on_model(other, first), *_stated(first)]
         mine, theirs = _values(table), other.points(table).with_stated(relative)
     elif isinstance(first, Model):
-        table, rows, notes = other, np.arange(len(other)), fitted_to(first, other)
-        notes += _stated(table)
+        table, notes = other, [*notes_on_model(first, other), *_stated(other)]
         mine, theirs = first.points(table), _values(table)
     else:
-        own, rows, notes = _common(first, other)
-        table, mine, theirs = other, _values(first)[own], _values(other)[rows]
-    columns: dict[str, Any] = {name: getattr(table, name)[rows] for name in DIRECTIONS}
-    columns["channel"] = np.full(len(rows), table.channel or "Y")
+        table, mine, theirs, notes = _common(first, other)
+    columns: dict[str, Any] = {name: getattr(table, name) for name in DIRECTIONS}
+    columns["channel"] = np.full(len(table), table.channel or "Y")
     weight = np.abs(np.cos(np.radians(columns["theta_o"])))
     incident = np.round([columns["theta_i"], columns["phi_i"]], 3).T.tolist()
     total_of = [tuple(one) for one in incident]
@@ -134,43 +131,88 @@ def _values(table: MeasuredTable) -> Points:
 
 def _common(
     first: MeasuredTable, other: MeasuredTable
-) -> tuple[Integers, Integers, list[str]]:
-    """Rows of two tables in the same directions, each once, and notes."""
-    both = first, other
+) -> tuple[MeasuredTable, Points, Points, list[str]]:
+    """Rows of the other in directions of both, the values of each there, and notes.
+
+    Values of one direction count together, as their mean.
+    """
+    _check_alike(first, other)
+    notes = list(dict.fromkeys([*_stated(first), *_stated(other)]))
+    (mine, own, told), (theirs, rows, also) = map(_means, (first, other))
+    names = table_names(first, other)
+    notes += [f"{name} {said}" for name, said in zip(names, (told, also)) if said]
+    where = _directions(first)[own], _directions(other)[rows]
+    distance, nearest = cKDTree(where[0]).query(where[1])
+    shared = np.flatnonzero(distance <= SAME)
+    if not len(shared):
+        raise SettingError(
+            "two tables are compared where they have the same directions, but "
+            f"{names[0]} has none of {names[1]} within {np.degrees(SAME):.2g} "
+            "degrees: a model that is fitted to one of them has values everywhere"
+        )
+    if len(shared) < len(rows):
+        notes.append(
+            f"{len(shared)} of the {len(rows)} points of {names[1]} are in "
+            f"{names[0]} too: the others are left out"
+        )
+    shared = shared[np.argsort(nearest[shared], kind="stable")]
+    for name in ("aperture_half_angle", "emitter_half_angle"):
+        one, two = getattr(first, name), getattr(other, name)
+        if one != two:
+            notes.append(f"{UNLIKE}{name} {one} and {two}")
+    columns = {name: getattr(other, name)[rows[shared]] for name in COLUMNS}
+    sigma = None if other.sigma is None else other.sigma[rows[shared]]
+    table = replace(other, **columns, sigma=sigma)
+    return table, mine[nearest[shared]], theirs[shared], notes
+
+
+def _check_alike(first: MeasuredTable, other: MeasuredTable) -> None:
+    """Raise ValueError for tables of unlike light, or without any uncertainty."""
+    names = table_names(first, other)
     for name in ("quantity", "channel"):
         one, two = getattr(first, name), getattr(other, name)
         alike = (one == "btdf") == (two == "btdf") if name == "quantity" else one == two
         if not alike:
             raise SettingError(
                 f"the tables must hold the same {name} to be compared, got {one} of "
-                f"{first.name} and {two} of {other.name}"
+                f"{names[0]} and {two} of {names[1]}"
             )
-    notes = list(dict.fromkeys([*_stated(first), *_stated(other)]))
-    if not any(one.bsdf_std_err.any() or one.scale_uncertainty for one in both):
+    if not any(
+        one.bsdf_std_err.any() or one.scale_uncertainty for one in (first, other)
+    ):
         raise SettingError(
-            f"a comparison needs an uncertainty, but neither {first.name} nor "
-            f"{other.name} states one: give `uncertainty` (--uncertainty)"
+            f"a comparison needs an uncertainty, but neither {names[0]} nor "
+            f"{names[1]} states one: give `uncertainty` (--uncertainty)"
         )
-    distance, nearest = cKDTree(_directions(first)).query(_directions(other))
-    rows = np.flatnonzero(distance <= SAME)
-    own, once = np.unique(nearest[rows], return_index=True)
-    rows = rows[once]
-    if not len(rows):
-        raise SettingError(
-            f"two tables are compared where they have the same directions, but "
-            f"{first.name} has none of {other.name} within {np.degrees(SAME):.2g} "
-            "degrees: a model that is fitted to one of them has values everywhere"
-        )
-    if len(rows) < len(other):
-        notes.append(
-            f"{len(rows)} of the {len(other)} points of {other.name} are in "
-            f"{first.name} too: the others are left out"
-        )
-    for name in ("aperture_half_angle", "emitter_half_angle"):
-        one, two = getattr(first, name), getattr(other, name)
-        if one != two:
-            notes.append(f"{UNLIKE}{name} {one} and {two}")
-    return own, rows, notes
+
+
+def table_names(first: MeasuredTable, other: MeasuredTable) -> tuple[str, str]:
+    """What to call two tables, of which only one may have a name."""
+    if first.name != other.name:
+        return first.name, other.name
+    return "the first table", "the second table"
+
+
+def _means(table: MeasuredTable) -> tuple[Points, Integers, str]:
+    """Values without repeats, the row of each, and a note on how many there were."""
+    points, where = _values(table), _directions(table)
+    rounded = np.round(where / SAME).astype(int)
+    _, rows, group, n = np.unique(
+        rounded, axis=0, return_index=True, return_inverse=True, return_counts=True
+    )
+    if len(rows) == len(table):
+        return points, np.arange(len(table)), ""
+    order = np.argsort(rows)  # as in the table
+    group, n, rows = np.argsort(order)[group.ravel()], n[order], rows[order]
+    value, variance, welch = (
+        np.bincount(group, one) / n**power
+        for one, power in ((points.value, 1), (points.std_err**2, 2), (points.welch, 4))
+    )
+    dof = np.full(len(rows), np.inf)
+    np.divide(variance**2, welch, out=dof, where=welch > 0)
+    means = Points(value, np.sqrt(variance), dof=dof)
+    said = f"has several values in {number_of(int(np.sum(n > 1)), 'direction')}: "
+    return means, rows, said + "their means are compared"
 
 
 def _directions(table: MeasuredTable) -> Floats:

@@ -16,7 +16,7 @@ from ...results.azimuth_symmetry import without_copies
 from ...results.record import Record
 from ...specimen.specimen_text import SpecimenLike, parse_specimen
 from ..comparison.measure_like import PRECISION_SETTINGS, first_that_can
-from ..points.predictions import check_record, check_table
+from ..points.predictions import check_record, check_table, near_field
 from .least_squares import (
     FittedModel,
     Search,
@@ -168,7 +168,17 @@ def _result(
         model=fitted,
         measured=search.measured(values) if isinstance(search, SceneSearch) else None,
         derivatives=search.derivatives,
+        notes=(*_near(record, fitted), *search.notes),
     )
+
+
+def _near(
+    record: Record | MeasuredTable, fitted: FittedModel | FittedScene
+) -> list[str]:
+    """A note on a record of the near field, which a scene is measured as."""
+    if isinstance(record, Record) and isinstance(fitted, FittedModel):
+        return near_field(record)
+    return []
 
 
 def _parsed(model: Any, free: Sequence[str]) -> tuple[Any, bool]:

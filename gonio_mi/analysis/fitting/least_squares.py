@@ -17,6 +17,7 @@ from ...errors import (
     checked_choice,
     checked_number,
     did_you_mean,
+    number_of,
     shown,
 )
 from ...specimen.loading import loaded
@@ -80,13 +81,18 @@ class Search:
         self._predictions = [each for one in observations for each in one.predictions]
         self._order = observations[0].order  # a table is alone
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """See :class:`.Fit`; there is nothing to say."""
+        return ()
+
     def found(self) -> tuple[Floats, Floats]:
         """Values of the parameters, and their covariance."""
         values, names = self.begin(), self.model.names
         if self.values.size <= len(names):
             raise SettingError(
-                f"a fit of {', '.join(names)} needs more than {len(names)} values, got "
-                f"{self.values.size}"
+                f"a fit of {', '.join(names)} needs more than "
+                f"{number_of(len(names), 'value')}, got {self.values.size}"
             )
         for _ in range(MAX_ROUNDS):
             self.adapt(values)

@@ -84,6 +84,9 @@ class Fit(Model):
         Of a scene, its last measurement.
     derivatives : {"exact", "differences"}
         By what the search and the uncertainties know how the model changes.
+    notes : tuple of str
+        What a reader of the result should know: of a scene, where the search began if
+        that is not clear, and why derivatives by some parameters are differences.
     """
 
     record: Record | MeasuredTable
@@ -100,6 +103,7 @@ class Fit(Model):
     model: FittedModel | FittedScene | None = None
     measured: Record | None = None
     derivatives: str = "differences"
+    notes: tuple[str, ...] = ()
 
     @property
     def std_errs(self) -> Floats:
@@ -306,6 +310,7 @@ class Fit(Model):
             "at_limit": list(self.at_limit),
             "scatter": self.scatter,
             "derivatives": self.derivatives,
+            "notes": list(self.notes),
         }
 
     def _repr_html_(self) -> str:
@@ -341,6 +346,7 @@ class Fit(Model):
             line += f"  (correlation {', '.join(others)})" if others else ""
             line += "  (at its limit)" if name in self.at_limit else ""
             lines.append(line)
+        lines += [f"  note: {one}" for one in self.notes]
         what, why, places = "record", "integrals have no noise", "patches"
         left = f"{100 * self.misplaced:.3g} % misplaced flux"
         if isinstance(self.record, MeasuredTable):
@@ -360,8 +366,8 @@ class Fit(Model):
         )
         if self.reduced_chi2 > MAX_REDUCED_CHI2:
             lines.append(
-                "  the model does not follow the record within its noise, which is all "
-                "that +- stands for"
+                f"  the model does not follow the {what} within its noise, which is "
+                "all that +- stands for"
             )
         if isinstance(self.record, Record) and not without_chance(self.record.tallies):
             hits = int(self.record.counts.sum())

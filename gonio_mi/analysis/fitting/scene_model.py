@@ -17,6 +17,7 @@ import numpy as np
 
 from ...array_types import Floats
 from ...errors import SettingError, SpecimenError, checked_choice, shown
+from ...instrument.setup import try_gradients
 from ...results.record import Record
 from ...specimen.loading import specimen_of
 from ...specimen.specimen_text import SpecimenLike
@@ -34,9 +35,8 @@ RAYS_PER_RAY, MAX_RAYS = 4, 2**24
 DIFFERENTIATING = ("weighted", "next_event", "quadrature")
 
 # Differences where there is no derivative, relative to a value or to a tenth of its
-# range, of light that is deposited: it follows a parameter smoothly, where rays that go
-# elsewhere are noise, which would make all steps too short.
-DIFFERENCE, DEPOSITS = 0.1, {"estimator": "next_event", "trace": True}
+# range.
+DIFFERENCE = 0.1
 
 # Of the first search: the relative change of chi-square, or of a parameter, by its last
 # step, and its steps at most. Steps after it, and the standard errors of the last one.
@@ -97,15 +97,15 @@ class FittedScene(Limited):
         self.scene, self.name = loaded.source, loaded.name.partition(":")[0]
         self._params = mi.traverse(self.scene)
         self.keys: list[list[str]] = []
-        found = []
+        found, unlike = [], {}
         for text in free:
             joined, equals, limits = text.partition("=")
-            own = Gradients.of_names(self.scene, joined.split("+")).columns
-            keys = [key for column in own for key in column.directions]
-            if len(set(keys)) < len(keys):
+            own, *others = Gradients.of_names(self.scene, [joined]).columns
+            if others:
                 raise SettingError(
                     f"free must name parameters of one number each, got {shown(text)}"
                 )
+            keys = list(own.directions)
             kind = keys[0].removesuffix(".value").rpartition(".")[2]
             known = f"{kind}={KNOWN[kind][1]}:{KNOWN[kind][2]}" if kind in KNOWN else ""
             if not (equals or known):
@@ -113,14 +113,41 @@ class FittedScene(Limited):
                     f"free must give limits as in {joined}=0:1, got {shown(text)}"
                 )
             one = Parameter.parse(f"{joined}={limits}" if equals else known)
-            now = float(np.clip(self._number(keys[0]), one.low, one.high))
+            numbers = [self._number(key) for key in keys]
+            now = float(np.clip(numbers[0], one.low, one.high))
             found.append(Parameter(joined, (now,), one.low, one.high))
             self.keys.append(keys)
+            if len({*numbers}) > 1:
+                unlike[joined] = ", ".join(f"{x:.6g}" for x in numbers)
         names = [one.name for one in found]
         for name, value in (start or {}).items():
             i = names.index(checked_choice("start", name, names))
             found[i] = found[i].begun_at(value)
         self.parameters = tuple(found)
+        self.notes = tuple(
+            f"the search for {name} began at the first of the scene's values, "
+            f"{values}: start (--start) gives another"
+            for name, values in unlike.items()
+            if name not in (start or {})
+        )
+
+    @property
+    def joined_keys(self) -> list[str]:
+        """Keys of each parameter, as names of gradients."""
+        return ["+".join(keys) for keys in self.keys]
+
+    def refusals(self, values: Floats) -> dict[str, str]:
+        """Why light is not differentiated by some of the parameters, by their names."""
+        found = {}
+        with self.at(values) as scene:
+            specimen = specimen_of(scene, period=self.record.asked.period)
+            for name, keys in zip(self.names, self.joined_keys):
+                gradients = Gradients.of_names(specimen.source, [keys])
+                try:
+                    try_gradients(gradients, specimen, self.record.asked)
+                except SpecimenError as error:
+                    found[name] = str(error)
+        return found
 
     def _number(self, key: str) -> float:
         value = self._params[key]
@@ -169,6 +196,8 @@ class SceneSearch(Search):
     ----------
     derivatives : {"exact", "differences"}
         What measurements tell of themselves, or differences of some.
+    refused : dict of str to str
+        Why derivatives by some parameters are differences.
     """
 
     def __init__(
@@ -178,7 +207,7 @@ class SceneSearch(Search):
         settings: Mapping[str, Any],
     ) -> None:
         record, self.model, self._report = model.record, model, report
-        self.derivatives = "exact"
+        self.derivatives, self.refused = "exact", dict[str, str]()
         self.observations = self._observed = _observed(record)
         self.values = np.concatenate([one.values for one in self.observations])
         self.scales = np.ones_like(self.values)
@@ -198,22 +227,39 @@ class SceneSearch(Search):
         if what in self._held and np.array_equal(self._held[what][0], values):
             return self._held[what][1]
         own = dict(self._predicting if what == "prediction" else self._guiding)
-        if what == "guide" and self.derivatives == "exact":
-            own["gradients"] = [key for keys in self.model.keys for key in keys]
+        if what == "guide":
+            pairs = zip(self.model.names, self.model.joined_keys)
+            gradients = [keys for name, keys in pairs if name not in self.refused]
+            own |= {"gradients": gradients} if gradients else {}
         if self._report is not None:
             self._report(1)
         try:
             with self.model.at(values) as scene:
                 (found,) = measure_like(scene, self.model.record, **own)
-        except SpecimenError:
+        except SpecimenError as error:
             if "gradients" not in own:
                 raise
-            self.derivatives = (
-                "differences"  # of all: one that is refused is asked once
-            )
+            self._refuse(values, str(error))
             return self._measured(what, values)
         self._held[what] = values.copy(), found
         return found
+
+    def _refuse(self, values: Floats, why: str) -> None:
+        """Take differences from now on, by what is refused; if all is, for this."""
+        names = [name for name in self.model.names if name not in self.refused]
+        found = self.model.refusals(values)
+        new = {name: found[name] for name in names if name in found}
+        self.refused |= new or dict.fromkeys(names, why)
+        self.derivatives = "differences"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the model says of its start, and why derivatives are differences."""
+        reasons = [
+            f"derivatives by {name} are differences: {why}"
+            for name, why in self.refused.items()
+        ]
+        return (*self.model.notes, *reasons)
 
     def measured(self, values: Floats) -> Record:
         """The model's record."""
@@ -252,22 +298,23 @@ class SceneSearch(Search):
 
     def _jacobian(self, values: Floats) -> Floats:
         """Derivatives of the prediction."""
-        record = self._measured("guide", values)
-        if self.derivatives == "exact":
-            columns = [
-                np.sum([_flux_gradient(record, key) for key in keys], axis=0)
-                for keys in self.model.keys
-            ]
-            return np.stack(columns, axis=-1)
-        columns, here = [], self._held["guide"]
-        low, high = self.model.limits
-        steps = DIFFERENCE * np.maximum(np.abs(values), (high - low) / 10)
-        for step in np.diag(steps):
-            ends = [np.clip(values + sign * step, low, high) for sign in (1, -1)]
-            more, less = (_fluxes(self._measured("guide", end)) for end in ends)
-            columns.append((more - less) / np.sum(ends[0] - ends[1]))
-        self._held["guide"] = here
+        record, model = self._measured("guide", values), self.model
+        columns = [
+            self._difference(values, i)
+            if name in self.refused
+            else _flux_gradient(record, keys)
+            for i, (name, keys) in enumerate(zip(model.names, model.joined_keys))
+        ]
         return np.stack(columns, axis=-1)
+
+    def _difference(self, values: Floats, i: int) -> Floats:
+        """Derivative by one parameter, from measurements on both sides of its value."""
+        low, high = (one[i] for one in self.model.limits)
+        step = DIFFERENCE * max(abs(values[i]), (high - low) / 10)
+        ends = np.array([values, values])
+        ends[:, i] = np.clip([values[i] + step, values[i] - step], low, high)
+        more, less = (_fluxes(self._measured("beside", end)) for end in ends)
+        return (more - less) / (ends[0, i] - ends[1, i])
 
     def count(self) -> float:
         """How many values chi-square has; one of less than a hit counts in part."""
@@ -301,10 +348,19 @@ def _variances(observed: Sequence[RecordObservations]) -> Floats:
 
 
 def _flux_gradient(record: Record, key: str) -> Floats:
-    """Derivative of the flux fractions of all detectors, in one row for each record."""
+    """Derivative of the flux fractions of all detectors, in one row for each record.
+
+    It is 0 where nothing came, and NaN where the BSDF has no derivative.
+    """
     solid = record.subdivision.projected_solid_angles[..., None]
     rows, sides = [], ("brdf", "btdf")[: record.n_hemispheres]
     for single, observed in zip(record, _observed(record)):
         each = [single.gradient(key, of) * solid for of in sides]
-        rows.append(observed.kept(np.nan_to_num(np.stack(each))))
-    return np.concatenate(rows)
+        rows.append(observed.kept(np.stack(each)))
+    found = np.concatenate(rows)
+    if np.isnan(found).any():
+        raise SpecimenError(
+            f"the derivative by {key} is no number at {np.isnan(found).sum()} of "
+            f"{found.size} detectors: give the parameter as known, or other limits"
+        )
+    return found

@@ -373,6 +373,17 @@ def check_table(table: MeasuredTable) -> None:
         )
 
 
+def near_field(record: Record) -> list[str]:
+    """A note on a collector that is near, where directions are not a model's."""
+    asked = record.asked
+    if not asked.collector_radius or asked.footprint == "point":
+        return []
+    return [
+        f"the collector is {asked.collector_radius:g} away from a footprint "
+        f"({asked.footprint}), and the model's light is that far away from it"
+    ]
+
+
 def check_record(record: Record) -> None:
     """Raise ValueError for a record that no BSDF can be fitted to."""
     spectral = wavelengths_nm(record.channels) is not None

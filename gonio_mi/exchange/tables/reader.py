@@ -26,7 +26,7 @@ from ...files.measured_table import (
     fits,
     parsed_keys,
 )
-from ...files.numbers import decimal, decimals, is_decimal, without_degrees
+from ...files.numbers import decimal, is_decimal
 from ...results.record import chosen_channel
 from .angles import (
     AZIMUTHS,
@@ -35,6 +35,7 @@ from .angles import (
     in_degrees,
     unit_questions,
 )
+from .cells import column_numbers, without_number, without_value
 from .names import (
     ANGLES,
     FACTOR_OF,
@@ -52,10 +53,6 @@ KINDS = {"rel": "relative", "abs": "absolute"}
 
 # Channels that columns of values may have for their whole name.
 COLOURS = ("R", "G", "B")
-
-# What stands for no value, in cells, and in columns of angles and uncertainties.
-MISSING = re.compile(r"|nan|--?|n/?a|null|-9{2,}(\.[09]*)?", re.IGNORECASE)
-MISSING_CODES = (-99, -999, -9999)
 
 # A wavelength that is a column's is at most this far in nm from the one asked for.
 WAVELENGTH_ROUNDING = 1e-6
@@ -162,7 +159,7 @@ class _Reading:
             self.questions += unit_questions(self.arrays, self.picked)
         self.arrays |= in_degrees(self.arrays, self.picked)
         polar = np.abs([self.arrays["theta_i"], self.arrays["theta_o"]])
-        self._leave_out((np.abs(polar - 90) <= HORIZON).any(axis=0), "at 90 degrees")
+        self._leave_out("at 90 degrees", (np.abs(polar - 90) <= HORIZON).any(axis=0))
         quantity = self.settings["quantity"] = self._quantity()
         columns = self._values(quantity)
         angles, notes, questions = directions(self.arrays, self.specified.azimuth)
@@ -299,52 +296,22 @@ class _Reading:
         for role, column in self.picked.items():
             place = self.text.names.index(column.name)
             self.arrays[role] = np.array([row[place] for _, row in table], dtype=object)
-        missing = [MISSING.fullmatch(cell.strip()) for cell in self.arrays["value"]]
-        codes = {match[0] for match in missing if match}
-        self._leave_out(np.array(missing, dtype=bool), "without a value", codes)
+        self._leave_out("without a value", *without_value(self.arrays["value"]))
         for role, column in self.picked.items():
-            numbers = decimals(self.arrays[role])
-            if numbers is None or not np.isfinite(numbers).all():
-                cells = zip(self.lines, self.arrays[role])
-                numbers = np.array([self._number(column, *cell) for cell in cells])
-            self.arrays[role] = numbers
+            cells = self.lines, self.arrays[role]
+            self.arrays[role] = column_numbers(self.place, column, *cells)
         n = len(self.lines)
         self.arrays |= {role: np.full(n, x) for role, x in self.constants.items()}
-        self._leave_out_missing()
+        gone, codes, azimuths = without_number(
+            self.arrays, self.picked.keys() - {"value"}
+        )
+        self.arrays |= azimuths
+        self._leave_out("without another number than the value", gone, codes)
         if "wavelength" in self.arrays:
             self._pick_wavelength()
         self._note_columns()
 
-    def _number(self, column: Column, line: int, cell: str) -> float:
-        """Number in a cell, or FileFormatError if it is none or not finite."""
-        in_degrees = column.role in ANGLES and column.unit != "rad"
-        text = without_degrees(cell) if in_degrees else cell
-        number = decimal(text) if is_decimal(text) else None
-        if number is not None and np.isfinite(number):
-            return number
-        finite, got = ("", shown(cell)) if number is None else ("finite ", cell.strip())
-        raise FileFormatError(
-            f"{self.place}, line {line}, column {column.name}: must be a {finite}number"
-            f", got {got}"
-        )
-
-    def _leave_out_missing(self) -> None:
-        """Leave out rows with a missing-value code outside the value column."""
-        gone, found = np.zeros(len(self.lines), dtype=bool), set()
-        for role in self.picked.keys() - {"value"}:
-            column = self.arrays[role]
-            none = np.isin(column, MISSING_CODES)
-            if role in ANGLES and (column[~none] < 0).any():
-                none &= column < -180  # beside other negative angles, -99 is one
-            if role in ("phi_i", "phi_o"):  # at the normal there is none
-                normal = none & (self.arrays[role.replace("phi", "theta")] == 0)
-                self.arrays[role] = np.where(normal, 0.0, column)
-                none &= ~normal
-            found |= {f"{code:g}" for code in column[none]}
-            gone |= none
-        self._leave_out(gone, "without another number than the value", found)
-
-    def _leave_out(self, gone: Flags, which: str, codes: Iterable[str] = ()) -> None:
+    def _leave_out(self, which: str, gone: Flags, codes: Iterable[str] = ()) -> None:
         """Keep the other rows, with a note, and which codes stand for no number."""
         n_gone = int(np.count_nonzero(gone))
         if n_gone == len(gone):

@@ -11,6 +11,7 @@ from budget import agree, disagree, of_comparison, often_enough
 
 import gonio_mi as gonio
 from gonio_mi.analysis.comparison import uncertainty_budget
+from gonio_mi.analysis.comparison.table_pairs import _means
 from gonio_mi.analysis.points.predictions import INTEGRAL_ERR
 from gonio_mi.cli import main
 from gonio_mi.files.measured_table import MeasuredTable
@@ -90,10 +91,59 @@ def test_directions_that_one_table_lacks_are_left_out():
     np.testing.assert_array_equal(found.other, other.value[10:])
 
 
+def repeated(one, factor):
+    """A table with all of its directions once more, of other values."""
+    names = ("theta_i", "phi_i", "theta_o", "phi_o")
+    both = {name: np.tile(getattr(one, name), 2) for name in names}
+    return replace(one, **both, value=np.r_[one.value, factor * one.value])
+
+
+@pytest.mark.parametrize("place", [0, 1])
+def test_values_of_one_direction_count_together(place):
+    """As their mean, on either side; twin: of one of them nothing would be seen."""
+    one = table()
+    pair = [one, one]
+    pair[place] = repeated(one, 1.1)
+    found = gonio.compare(*pair)
+    assert len(found.z) == len(one)
+    mean = (found.value, found.other)[place]
+    np.testing.assert_allclose(mean, 1.05 * one.value, rtol=1e-12)
+    # 2 % each, independent
+    error = (found.std_err, found.other_std_err)[place]
+    np.testing.assert_allclose(error / mean, 0.02 * np.hypot(1, 1.1) / 2.1, rtol=1e-12)
+    name = ("the first table", "the second table")[place]
+    said = f"{name} has several values in 80 directions: their means are compared"
+    assert said in found.notes
+    assert found.labels == ("the first table", "the second table")
+    assert not found.passed
+    pair[place] = repeated(one, 1.0)
+    assert gonio.compare(*pair).passed
+
+
+def test_repeats_with_degrees_of_freedom_are_known_better():
+    """Of 4 each, a mean of two alike has 8."""
+    one = table(relative=0.0)
+    sigma = np.tile(0.02 * one.value, 2)
+    both = replace(repeated(one, 1.0), sigma=sigma, degrees_of_freedom=4.0)
+    points = _means(both)[0]
+    np.testing.assert_allclose(points.dof, 8, rtol=1e-12)
+    np.testing.assert_allclose(points.std_err, 0.02 * one.value / 2**0.5, rtol=1e-12)
+
+
+def test_large_uncertainties_of_tables_do_not_overflow():
+    """Whose squares over the least number were beyond what numbers hold."""
+    bright = replace(table(), value=1e4 * table().value)
+    assert gonio.compare(bright, bright).passed
+    assert not gonio.compare(bright, replace(bright, value=1.2 * bright.value)).passed
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"theta_i": np.full(80, 31.0)}, "has none of the table within 0.01 degrees"),
+        (
+            {"theta_i": np.full(80, 31.0)},
+            "has none of the second table within 0.01 degrees",
+        ),
         ({"quantity": "btdf", "theta_o": np.full(80, 150.0)}, "same quantity"),
         ({"channel": "550nm"}, "same channel"),
     ],
@@ -105,7 +155,7 @@ def test_tables_that_cannot_be_compared(changes, words):
 
 def test_two_tables_need_an_uncertainty():
     silent = table(relative=0.0)
-    with pytest.raises(ValueError, match="neither the table nor the table states one"):
+    with pytest.raises(ValueError, match="neither the first table nor the second"):
         gonio.compare(silent, silent)
     found = gonio.compare(silent, silent, uncertainty=0.01)
     assert found.passed
@@ -198,6 +248,50 @@ def test_a_fit_and_its_own_data_are_no_strangers():
     again = gonio.measure(METAL, 45, rays=4000, seed=3, **BEAM)
     notes = gonio.compare(again, fit).notes
     assert any("roughconductor and the record have the seed 3" in n for n in notes)
+
+
+def test_a_near_collector_is_told():
+    """Of a fit to it, and of a comparison; twin: from a point it is as far away."""
+    near = BEAM | {"rays": 20_000, "collector_radius": 4.0, "seed": 7}
+    record = gonio.measure(METAL, 60, footprint=1.0, **near)
+    point = gonio.measure(METAL, 60, footprint="point", **near)
+    said = "the collector is 4 away from a footprint (1.0), and the model's light"
+    fit = fitted()
+    assert any(said in note for note in gonio.compare(record, fit).notes)
+    assert not any(said in note for note in gonio.compare(point, fit).notes)
+    (note,) = gonio.fit(record, "roughconductor:material=none", FREE).notes
+    assert note.startswith(said)
+    assert f"note: {said}" in str(gonio.fit(record, "roughconductor", FREE))
+    assert gonio.fit(point, "roughconductor:material=none", FREE).notes == ()
+
+
+def test_a_fit_beside_another_wavelength_is_told():
+    """Of a record and of a table; twin: of the same one there is nothing to say."""
+    mi.set_variant("llvm_ad_spectral")
+    white = {"type": "diffuse", "reflectance": 0.5}
+    records = [
+        gonio.measure(white, 30, rays=2000, seed=nm, wavelengths=[nm], **BEAM)
+        for nm in (550, 650)
+    ]
+    fit = gonio.fit(records[0], "diffuse")
+    again = gonio.measure(white, 45, rays=2000, seed=1, wavelengths=[550], **BEAM)
+    said = "and may change what is measured: channels 650nm and 550nm"
+    notes = [
+        " ".join(gonio.compare(one, fit).notes)
+        for one in (
+            records[1],
+            replace(table(), channel="650nm"),
+            again,
+            replace(table(), channel="550nm"),
+        )
+    ]
+    assert [said in one for one in notes] == [True, True, False, False]
+
+
+def test_a_fit_beside_another_order_is_told():
+    fit = fitted()
+    record = gonio.measure(METAL, 45, rays=2000, seed=9, order="1", **BEAM)
+    assert any("order 1 and" in note for note in gonio.compare(record, fit).notes)
 
 
 def test_a_fit_beside_a_table():

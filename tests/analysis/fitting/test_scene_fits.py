@@ -8,6 +8,7 @@ import gonio_mi as gonio
 from gonio_mi.analysis.fitting import scene_model
 from gonio_mi.cli import main
 from gonio_mi.errors import SettingError
+from gonio_mi.single_precision import FEW_ROUNDINGS
 
 # isort: split
 import mitsuba as mi
@@ -91,7 +92,8 @@ def counted(monkeypatch, refused):
     found, own = [], scene_model.measure_like
 
     def measure_like(*args, **settings):
-        if refused and "gradients" in settings:
+        asked = settings.get("gradients", ())
+        if (refused is True and asked) or any(str(refused) in one for one in asked):
             raise gonio.SpecimenError("no derivative")
         found.append(settings)
         return own(*args, **settings)
@@ -121,8 +123,120 @@ def test_what_has_no_derivative_is_found_by_differences():
     record = small(blend(0.2, "roughplastic"))
     fit = gonio.fit(record, blend(0.25, "roughplastic"), ["bsdf_0.alpha"])
     assert fit.derivatives == "differences"
+    (note,) = fit.notes
+    assert note.startswith("derivatives by bsdf_0.alpha are differences: the derivativ")
+    assert f"note: {note}" in str(fit)
+    assert fit.to_dict()["notes"] == [note]
     agree(verdict(pulls([fit], [0.2])[0]))
     disagree(verdict(pulls([fit], [0.3])[0]))
+
+
+def searched(specimen, free, record=None, values=None):
+    """A search that has measured the model once, with derivatives."""
+    mi.set_variant("llvm_ad_mono")
+    record = small(blend(0.2), rays=2000) if record is None else record
+    model = scene_model.FittedScene(specimen, free, None, record)
+    search = scene_model.SceneSearch(model, None, {})
+    (start,) = model.starts()
+    return search, search._jacobian(start if values is None else values)
+
+
+def test_only_what_is_refused_is_differenced(monkeypatch):
+    """The other's derivative is Dr.Jit's; twin: it is as well where none is refused."""
+    own = scene_model.try_gradients
+    exact, right = searched(blend(0.25), ["alpha.value", "weight.value=0:1"])
+    assert exact.derivatives == "exact"
+    assert exact.notes == ()
+
+    def refuse(gradients, *more):
+        if any("alpha" in one.name for one in gradients.columns):
+            raise gonio.SpecimenError("no derivative of it")
+        own(gradients, *more)
+
+    monkeypatch.setattr(scene_model, "try_gradients", refuse)
+    asked = counted(monkeypatch, "alpha")
+    search, found = searched(blend(0.25), ["alpha.value", "weight.value=0:1"])
+    assert search.notes == (
+        "derivatives by alpha.value are differences: no derivative of it",
+    )
+    differentiated = [one["gradients"] for one in asked if "gradients" in one]
+    assert [len(one) for one in differentiated] == [1]
+    np.testing.assert_array_equal(found[:, 1], right[:, 1])
+    assert not np.array_equal(found[:, 0], right[:, 0])
+    # differences over a tenth of the value, of the same rays
+    assert np.corrcoef(found[:, 0], right[:, 0])[0, 1] > 0.9
+
+
+def test_joined_parameters_are_one_launch():
+    """The derivative by both is the sum; twin: that of one alone is not."""
+    two = {"type": "blendbsdf", "weight": 0.5}
+    two |= {key: {"type": "roughconductor", "alpha": 0.2} for key in "ab"}
+    names = "bsdf_0.alpha.value", "bsdf_1.alpha.value"
+    settings = {"rays": 2000, "collector": "projected:4x8"}
+    mi.set_variant("llvm_ad_mono")
+    record = gonio.measure(two, 40, gradients=["+".join(names), *names], **settings)
+    assert record.gradients == ("+".join(names), *names)
+    both, one, other = (record.gradient(name) for name in record.gradients)
+    # single precision of rays, whose gains and losses are 30 times what is left
+    size = np.abs(both).max()
+    np.testing.assert_allclose(
+        both, one + other, rtol=0, atol=30 * FEW_ROUNDINGS * size
+    )
+    assert np.abs(both - one).max() > 0.1 * size
+    search, _ = searched(two, ["+".join(names)])
+    ((key,),) = [search._held["guide"][1].gradients]
+    assert key.count("+") == 1
+
+
+@pytest.mark.parametrize("joined", ["weight.value+weight.value", "weight.value+alpha"])
+def test_what_cannot_be_joined(joined):
+    mi.set_variant("llvm_ad_mono")
+    with pytest.raises(SettingError, match=r"must (join|name) parameters"):
+        gonio.measure(blend(0.2), 40, rays=1000, gradients=[joined])
+
+
+def test_joined_parameters_that_begin_apart_say_where():
+    """Twins: with one start, and with the same values."""
+    record = small(blend(0.2), rays=2000)
+    free = ["bsdf_0.alpha.value+bsdf_1.alpha.value"]
+
+    def notes(first, second, start=None):
+        parts = {
+            key: {"type": "roughconductor", "alpha": alpha}
+            for key, alpha in (("a", first), ("b", second))
+        }
+        scene = {"type": "blendbsdf", "weight": 0.5} | parts
+        model = scene_model.FittedScene(scene, free, start, record)
+        return model.notes, model.parameters[0].starts
+
+    mi.set_variant("llvm_ad_mono")
+    (note,), starts = notes(0.1, 0.3)
+    assert note == (
+        f"the search for {free[0]} began at the first of the scene's values, 0.1, 0.3: "
+        "start (--start) gives another"
+    )
+    assert starts == (np.float32(0.1),)
+    assert notes(0.1, 0.3, {free[0]: 0.2}) == ((), (0.2,))
+    assert notes(0.1, 0.1)[0] == ()
+
+
+def test_a_derivative_that_is_no_number_is_no_0(monkeypatch):
+    """Where nothing came it is 0; twin: NaN of the BSDF is told in a sentence."""
+    record = small(blend(0.1), rays=200)
+    _, found = searched(blend(0.1), ["alpha.value"], record)
+    assert np.any(found == 0)
+    assert np.any(found != 0)
+    assert np.isfinite(found).all()
+    own = gonio.Record.gradient
+
+    def gradient(self, *asked):
+        value = own(self, *asked)
+        value[0, 0] = np.nan
+        return value
+
+    monkeypatch.setattr(gonio.Record, "gradient", gradient)
+    with pytest.raises(gonio.SpecimenError, match="is no number at 1 of 72 detectors"):
+        searched(blend(0.1), ["alpha.value"], record)
 
 
 @pytest.mark.parametrize(
