@@ -17,8 +17,12 @@ from gonio_mi.array_types import Floats
 from gonio_mi.errors import SettingError, abridged
 from gonio_mi.materials.interpolation.interpolated_bsdf import (
     InterpolatedBSDF,
+    Lookup,
     half_vector_segments,
+    join_quantiles,
+    moved_at_once,
 )
+from gonio_mi.materials.interpolation.interpolated_lobes import Moved
 from gonio_mi.materials.interpolation.lobes import MeasuredLobes
 from gonio_mi.materials.interpolation.radiance_guide import radiance_guide
 from gonio_mi.plugins import bsdf_functions
@@ -151,6 +155,7 @@ class Goniometric(mi.BSDF):
         #: patches in which the front and the back were measured
         self.patches = tuple(face and face.patches for face in self.faces)
         self._declare()
+        self._are_joined = join_quantiles(self.faces)
         #: what is drawn in radiance mode, if not what is in importance mode
         self.guide = radiance_guide(self.faces)
 
@@ -236,7 +241,7 @@ class Goniometric(mi.BSDF):
         sample2: mi.Point2f,
         active: mi.Bool | bool,
     ) -> mi.Vector3f:
-        """Direction of the lobes for light from `wi`; in radiance mode some are even."""
+        """Direction of the lobes for light from `wi`; in radiance mode some even."""
         drawn = mi.Vector3f(0)
         for side, guide, hemispheres in self._guides(ctx):
             lit = active & (wi.z * side > 0)
@@ -284,15 +289,28 @@ class Goniometric(mi.BSDF):
     ) -> tuple[mi.Spectrum, mi.Float]:
         """Value and density of `detector` for light from the direction `to_emitter`."""
         value, pdf = mi.UnpolarizedSpectrum(0), mi.Float(0)
-        for face, side in zip(self.faces, SIDES):
-            if face is not None:
-                lit = active & (to_emitter.z * side > 0)
-                directions = _seen(to_emitter, side), _seen(detector, side)
-                face_value, face_pdf = _looked_up(
-                    face, self._enabled(ctx), lit, *directions, wavelengths
-                )
-                value += face_value & lit
-                pdf += dr.select(lit, face_pdf, 0)
+        enabled = self._enabled(ctx)
+        asked = [
+            (face, active & (to_emitter.z * side > 0), side)
+            for face, side in zip(self.faces, SIDES)
+            if face is not None
+        ]
+        directions = [
+            (_seen(to_emitter, side), _seen(detector, side)) for *_, side in asked
+        ]
+        lookups, moved = [None] * len(asked), None
+        if self._are_joined:
+            lookups = [
+                face.lookup(*of, enabled, lit)
+                for (face, lit, _), of in zip(asked, directions)
+            ]
+            moved = moved_at_once(self.faces, lookups)
+        for (face, lit, _), of, lookup in zip(asked, directions, lookups):
+            face_value, face_pdf = _looked_up(
+                face, enabled, lit, *of, wavelengths, lookup, moved
+            )
+            value += face_value & lit
+            pdf += dr.select(lit, face_pdf, 0)
         return value, pdf
 
     def _guides(
@@ -331,6 +349,8 @@ def _looked_up(
     wi: mi.Vector3f,
     wo: mi.Vector3f,
     wavelengths: mi.Spectrum,
+    lookup: Lookup | None = None,
+    moved: Moved | None = None,
 ) -> tuple[mi.Spectrum, mi.Float]:
     """Value and density of a face; where no lane of a vector is lit, none is asked."""
     lit = (
@@ -338,6 +358,8 @@ def _looked_up(
     )  # as wide as all that is asked for
 
     def asked(wi: Any, wo: Any, nm: Any) -> tuple[mi.Spectrum, mi.Float]:
+        if lookup is not None:
+            return face.evaluated(lookup, nm, moved)
         return face.eval_pdf(wi, wo, hemispheres, lit, nm)
 
     def nothing(*_: Any) -> tuple[mi.Spectrum, mi.Float]:
