@@ -285,7 +285,7 @@ def join_quantiles(faces: Sequence[InterpolatedBSDF | None]) -> bool:
 def moved_at_once(
     faces: Sequence[InterpolatedBSDF], lookups: Sequence[Lookup]
 ) -> Moved:
-    """What moves by quantiles on one of two joined faces, the lookup of which is wanted.
+    """What moves by quantiles on one of two joined faces: that which is wanted.
 
     Where a vector of lanes has both, quantiles are sought but once.
     """
