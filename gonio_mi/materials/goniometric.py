@@ -17,9 +17,14 @@ from gonio_mi.array_types import Floats
 from gonio_mi.errors import SettingError, abridged
 from gonio_mi.materials.interpolation.interpolated_bsdf import (
     InterpolatedBSDF,
+    Lookup,
     half_vector_segments,
+    join_quantiles,
+    moved_at_once,
 )
+from gonio_mi.materials.interpolation.interpolated_lobes import Moved
 from gonio_mi.materials.interpolation.lobes import MeasuredLobes
+from gonio_mi.materials.interpolation.radiance_guide import radiance_guide
 from gonio_mi.plugins import bsdf_functions
 from gonio_mi.results.record import XYZ, Record, wavelengths_nm
 
@@ -32,7 +37,7 @@ KINDS = (mi.BSDFFlags.GlossyReflection, mi.BSDFFlags.GlossyTransmission)
 # Warnings that were given.
 _told: set[str] = set()
 
-# Samples drawn by the cosine in radiance mode.
+# Samples drawn by the cosine in radiance mode, if not of a guide.
 EVEN = 0.1
 
 
@@ -94,9 +99,14 @@ class Goniometric(mi.BSDF):
     :math:`\omega_o`: the value is what was measured with light from there, on whichever
     face that is. A record is not reciprocal, be it only for its patches and its noise;
     with nothing to assume, a transmitting specimen between two media needs no
-    :math:`\eta` either, but both faces. Directions are drawn as in importance mode and,
-    for one sample in ten, by the cosine, so that nothing is missed; weights vary as far
-    as the record is not reciprocal.
+    :math:`\eta` either, but both faces. Of isotropic records, directions are drawn of a
+    table that is coarse but of these very values: for each step of the camera's polar
+    angle, as many as the record has rings of patches, what is seen from there in cells
+    as large as patches. One in fifty is drawn evenly, so that nothing is missed.
+    Weights vary as far as values do within a cell. Of anisotropic records, or if there
+    are more than 16 million cells, directions are drawn as in importance mode and, for
+    one sample in ten, by the cosine; weights vary as far as the record is not
+    reciprocal.
 
     A record of one channel fits all variants; one of the channels R, G, B those of
     rgb, and by its luminance monochrome ones; one of several wavelengths spectral
@@ -145,6 +155,9 @@ class Goniometric(mi.BSDF):
         #: patches in which the front and the back were measured
         self.patches = tuple(face and face.patches for face in self.faces)
         self._declare()
+        self._are_joined = join_quantiles(self.faces)
+        #: what is drawn in radiance mode, if not what is in importance mode
+        self.guide = radiance_guide(self.faces)
 
     def wavelength_range(self) -> tuple[float, float]:
         """Shortest and longest wavelength in nm of what the records hold.
@@ -188,19 +201,10 @@ class Goniometric(mi.BSDF):
     ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
         """Pick a hemisphere by `sample1` and draw `wo` by `sample2`."""
         bs = dr.zeros(mi.BSDFSample3f)
-        for side, guide, hemispheres in self._guides(ctx):
-            lit = active & (si.wi.z * side > 0)
-            seen = _seen(si.wi, side)
-            if ctx.mode == mi.TransportMode.Importance:
-                wo = _drawn(guide, hemispheres, lit, seen, sample1, sample2)
-            else:
-                rest = (sample1 - EVEN) / (1 - EVEN)
-                wo = _drawn(guide, hemispheres, lit, seen, rest, sample2)
-                even = mi.warp.square_to_cosine_hemisphere(sample2)
-                below = (sample1 > EVEN / 2) | ~mi.Bool(hemispheres[0])
-                even.z = dr.select(below & hemispheres[1], -even.z, even.z)
-                wo = dr.select(sample1 < EVEN, even, wo)
-            bs.wo[lit] = _seen(wo, side)
+        if self._is_guided(ctx):
+            bs.wo = self.guide.sample(si.wi, self._enabled(ctx), sample1, sample2)
+        else:
+            bs.wo = self._drawn_of_lobes(ctx, si.wi, sample1, sample2, active)
         value, bs.pdf = self.eval_pdf(ctx, si, bs.wo, active)
         below = bs.wo.z * si.wi.z < 0
         bsdf_functions.name_component(bs, below, *KINDS)
@@ -219,6 +223,49 @@ class Goniometric(mi.BSDF):
             return bsdf_functions.depolarised(value), pdf
         value, _ = self._from_emitter(ctx, wo, si.wi, si.wavelengths, active)
         value *= dr.select(si.wi.z == 0, 0, dr.abs(wo.z / si.wi.z))
+        if self._is_guided(ctx):
+            pdf = self.guide.pdf(si.wi, wo, self._enabled(ctx), active)
+        else:
+            pdf = self._density_of_lobes(ctx, si, wo, active)
+        return bsdf_functions.depolarised(value), pdf
+
+    def _is_guided(self, ctx: mi.BSDFContext) -> bool:
+        """Whether directions are drawn of the guide."""
+        return self.guide is not None and ctx.mode != mi.TransportMode.Importance
+
+    def _drawn_of_lobes(
+        self,
+        ctx: mi.BSDFContext,
+        wi: mi.Vector3f,
+        sample1: mi.Float,
+        sample2: mi.Point2f,
+        active: mi.Bool | bool,
+    ) -> mi.Vector3f:
+        """Direction of the lobes for light from `wi`; in radiance mode some even."""
+        drawn = mi.Vector3f(0)
+        for side, guide, hemispheres in self._guides(ctx):
+            lit = active & (wi.z * side > 0)
+            seen = _seen(wi, side)
+            if ctx.mode == mi.TransportMode.Importance:
+                wo = _drawn(guide, hemispheres, lit, seen, sample1, sample2)
+            else:
+                rest = (sample1 - EVEN) / (1 - EVEN)
+                wo = _drawn(guide, hemispheres, lit, seen, rest, sample2)
+                even = mi.warp.square_to_cosine_hemisphere(sample2)
+                below = (sample1 > EVEN / 2) | ~mi.Bool(hemispheres[0])
+                even.z = dr.select(below & hemispheres[1], -even.z, even.z)
+                wo = dr.select(sample1 < EVEN, even, wo)
+            drawn[lit] = _seen(wo, side)
+        return drawn
+
+    def _density_of_lobes(
+        self,
+        ctx: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        wo: mi.Vector3f,
+        active: mi.Bool | bool,
+    ) -> mi.Float:
+        """Density of :meth:`_drawn_of_lobes` in radiance mode."""
         pdf = mi.Float(0)
         for side, guide, hemispheres in self._guides(ctx):
             lit = active & (si.wi.z * side > 0)
@@ -230,7 +277,7 @@ class Goniometric(mi.BSDF):
             wanted = dr.select(seen.z < 0, hemispheres[1], hemispheres[0])
             even = dr.select(wanted, dr.abs(wo.z) * dr.inv_pi / sum(hemispheres), 0)
             pdf += dr.select(lit, (1 - EVEN) * density + EVEN * even, 0)
-        return bsdf_functions.depolarised(value), pdf
+        return pdf
 
     def _from_emitter(
         self,
@@ -242,15 +289,28 @@ class Goniometric(mi.BSDF):
     ) -> tuple[mi.Spectrum, mi.Float]:
         """Value and density of `detector` for light from the direction `to_emitter`."""
         value, pdf = mi.UnpolarizedSpectrum(0), mi.Float(0)
-        for face, side in zip(self.faces, SIDES):
-            if face is not None:
-                lit = active & (to_emitter.z * side > 0)
-                directions = _seen(to_emitter, side), _seen(detector, side)
-                face_value, face_pdf = _looked_up(
-                    face, self._enabled(ctx), lit, *directions, wavelengths
-                )
-                value += face_value & lit
-                pdf += dr.select(lit, face_pdf, 0)
+        enabled = self._enabled(ctx)
+        asked = [
+            (face, active & (to_emitter.z * side > 0), side)
+            for face, side in zip(self.faces, SIDES)
+            if face is not None
+        ]
+        directions = [
+            (_seen(to_emitter, side), _seen(detector, side)) for *_, side in asked
+        ]
+        lookups, moved = [None] * len(asked), None
+        if self._are_joined:
+            lookups = [
+                face.lookup(*of, enabled, lit)
+                for (face, lit, _), of in zip(asked, directions)
+            ]
+            moved = moved_at_once(self.faces, lookups)
+        for (face, lit, _), of, lookup in zip(asked, directions, lookups):
+            face_value, face_pdf = _looked_up(
+                face, enabled, lit, *of, wavelengths, lookup, moved
+            )
+            value += face_value & lit
+            pdf += dr.select(lit, face_pdf, 0)
         return value, pdf
 
     def _guides(
@@ -289,6 +349,8 @@ def _looked_up(
     wi: mi.Vector3f,
     wo: mi.Vector3f,
     wavelengths: mi.Spectrum,
+    lookup: Lookup | None = None,
+    moved: Moved | None = None,
 ) -> tuple[mi.Spectrum, mi.Float]:
     """Value and density of a face; where no lane of a vector is lit, none is asked."""
     lit = (
@@ -296,6 +358,8 @@ def _looked_up(
     )  # as wide as all that is asked for
 
     def asked(wi: Any, wo: Any, nm: Any) -> tuple[mi.Spectrum, mi.Float]:
+        if lookup is not None:
+            return face.evaluated(lookup, nm, moved)
         return face.eval_pdf(wi, wo, hemispheres, lit, nm)
 
     def nothing(*_: Any) -> tuple[mi.Spectrum, mi.Float]:

@@ -278,9 +278,16 @@ def test_radiance_mode_is_adjoint(plugin, tmp_path, side):
         assert abs(radiance - flux) <= ROUNDING * flux
 
 
-def test_radiance_mode_samples_follow_its_density(plugin):
-    """Shares of directions against `pdf` at others, batch by batch, on both sides."""
+@pytest.mark.parametrize("max_cells", [0, 2**24])
+def test_radiance_mode_samples_follow_its_density(plugin, monkeypatch, max_cells):
+    """Shares of directions against `pdf` at others, batch by batch, on both sides.
+
+    Of lobes, and of a guide.
+    """
+    module = "gonio_mi.materials.interpolation.radiance_guide"
+    monkeypatch.setattr(f"{module}.MAX_CELLS", max_cells)
     bsdf = plugin(isotropic(both=True, power=4, collector="projected:3x4"))
+    assert (bsdf.guide is None) == (max_cells == 0)
     ctx, n, batches = mi.BSDFContext(RADIANCE), 2**18, 32
     patches = gonio.subdivision("projected:2x4")
     rng = np.random.default_rng(5)
@@ -309,6 +316,56 @@ def test_radiance_mode_samples_follow_its_density(plugin):
             std_err = difference.std(axis=0, ddof=1) / np.sqrt(batches)
             t = difference.mean(axis=0) / std_err
             judge(verdict(normal_scores(t, batches - 1)))
+
+
+@pytest.mark.parametrize("component", [None, 0, 1])
+@pytest.mark.parametrize("side", [1, -1])
+def test_pictures_draw_what_they_see(plugin, tmp_path, component, side):
+    """Weights of directions that are drawn have the mean of the value over all.
+
+    With either component alone, too, and less spread than those drawn evenly.
+    """
+    record = isotropic(both=True, power=8)
+    bsdf = plugin(record, back_filename=saved(isotropic(seed=5, both=True), tmp_path))
+    ctx, n = mi.BSDFContext(RADIANCE), 2**17
+    if component is not None:
+        ctx.component = component
+    si, (sample1, sample2) = interaction(50, 20, side), drawn(7, n)
+    bs, weight = bsdf.sample(ctx, si, sample1, sample2)
+    even = mi.warp.square_to_cosine_hemisphere(sample2)
+    even.z = dr.select(sample1 < 0.5, -even.z, even.z)
+    value, pdf = bsdf.eval_pdf(ctx, si, even)
+    evenly = 2 * np.pi / np.abs(even.z.numpy())
+    weights, expected = weight.numpy()[0], value.numpy()[0] * evenly
+    assert (pdf.numpy()[expected > 0] > 0).all()
+    if component is not None:
+        assert (bs.sampled_component.numpy() == component).all()
+    for factor, judge in ((1, agree), (1.1, disagree)):
+        for own, other in ((weights, expected), (pdf.numpy() * evenly, np.ones(n))):
+            error = own.mean() - factor * other.mean()
+            judge(single(error / np.hypot(own.std(), other.std()) * np.sqrt(n)))
+    assert weights.std() < expected.std() / 2
+
+
+def test_faces_whose_quantiles_are_sought_at_once_are_themselves(
+    plugin, tmp_path, monkeypatch
+):
+    """Lanes of both faces side by side, to the last bit; twin: of equal faces not."""
+    record, other = isotropic(both=True, power=8), isotropic(seed=5, both=True)
+    path = saved(other, tmp_path)
+    joined = plugin(record, back_filename=path)
+    monkeypatch.setattr(
+        "gonio_mi.materials.goniometric.join_quantiles", lambda _: False
+    )
+    apart = plugin(record, back_filename=path)
+    equal = plugin(record, back_filename=saved(record, tmp_path))
+    wo = direction(*np.random.default_rng(1).uniform(0, 3.1, (2, 1000)))
+    for mode in (IMPORTANCE, RADIANCE):
+        found, *others = (
+            values(bsdf, wo, 40, side=-1, mode=mode) for bsdf in (joined, apart, equal)
+        )
+        same = [np.array_equal(found, one) for one in others]
+        assert same == [True, False]
 
 
 def test_a_face_that_was_not_measured_is_black(plugin):
