@@ -362,7 +362,7 @@ def lost_light(record: Record) -> list[str]:
         """Whether a row is above the statistical error in any direction."""
         return any(
             getattr(own, row) > error(number) * own.emitted
-            for number, own in enumerate(look.ledger for look in record)
+            for number, own in enumerate(tally.ledger for tally in record.tallies)
             if getattr(own, row) > MAX_STRAY * own.emitted
         )
 

@@ -124,7 +124,7 @@ class Curve:
         own = self.end - self.begin
         start, outside = (dr.opaque(mi.UInt32, x) for x in (start, own))
         index = dr.select(step < dr.opaque(mi.UInt32, n), index, start + outside)
-        joined = together << bits - leading_digits(*FOOTPRINT, bits)
+        joined = together << bits - _leading(bits)
         if joined > 1:
             index, sequence = sorted_within(joined, eighth, index, sequence)
         dr.eval(index, sequence)
@@ -229,12 +229,18 @@ def curve_tables(base: int, bits: int, keys: mi.UInt32, n: int) -> mi.UInt32:
     for byte in range(4):
         at = (4 * whole + byte) * 256 + ((place >> 8 * byte) & 255)
         index = index ^ dr.gather(mi.UInt32, _curve_table(mi.UInt32), at)
-    known = dr.opaque(mi.UInt32, leading_digits(*FOOTPRINT, bits)) + 1 - draw >> 1
+    known = dr.opaque(mi.UInt32, _leading(bits)) + 1 - draw >> 1
     one = mi.UInt32(1) << known
     plain = plain & (one - 1)
     # a digit is flipped or not by those before it in its own coordinate
     after_0, after_1 = (owen(x, word) >> known for x in (plain, plain | one))
     return index | (after_0 & 3) << INDEX_BITS | (after_1 >> 1) << (INDEX_BITS + 2)
+
+
+@cache
+def _leading(bits: int) -> int:
+    """Digits that are different in all of the first ``2**bits`` points."""
+    return leading_digits(*FOOTPRINT, bits)
 
 
 def _n_digits(bits: int) -> int:
@@ -274,7 +280,7 @@ def on_curve(
     y = dr.gather(mi.UInt32, tables, row + _every_other(digits >> 1))
     index = (x ^ y) & ((mi.UInt32(1) << whole) - 1)
     index = index ^ dr.opaque(mi.UInt32, base)
-    leading = leading_digits(*FOOTPRINT, bits)
+    leading = _leading(bits)
     # a place is longer along y if x has one more digit
     taller = dr.opaque(mi.Bool, leading % 2 == 1)
     flips = x >> INDEX_BITS, y >> INDEX_BITS

@@ -10,6 +10,8 @@ sorted by eight exponents at a time into levels, each with a unit of its own.
 from __future__ import annotations
 
 import math
+import mmap
+import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -230,7 +232,7 @@ class Sums:
         plain &= mi.variant().startswith("llvm")
         self.one = 0 if plain else 1 if self.counted else ONE
         n_rare = self.channels * n_batches * setup.n_bins
-        self.rare = _room(len(self.levels) * n_rare)
+        self.rare = _spare_room(len(self.levels) * n_rare)
         # whether there was such a power, for each level
         self.met = dr.zeros(mi.UInt32, LEVELS)
         n_incident = 0 if setup.beam.uniform else self.channels * n_batches
@@ -244,7 +246,7 @@ class Sums:
         if self.n_columns:
             n_units = len(COLUMN_UNITS) * self.channels * n_batches
             size = n_units * setup.n_collected * self.column_width
-            self.columns = _room(size)
+            self.columns = _spare_room(size)
 
     def add(
         self, bins: mi.UInt32, exits: Exits, active: mi.Bool, batch: mi.UInt32
@@ -562,6 +564,20 @@ def _room(n: int) -> mi.Int64:
     """
     few = 0 < n <= dr.expand_threshold()
     return dr.zeros(mi.Int64, 1 << (n - 1).bit_length() if few else n)
+
+
+def _spare_room(n: int) -> mi.Int64:
+    """Zeros for `n` sums of which few are used: the others take no memory, nor time.
+
+    The system makes the pages that are added to.
+    """
+    if n <= dr.expand_threshold() or not mi.variant().startswith("llvm"):
+        return _room(n)
+    # on Windows they are private anyway
+    posix = (
+        {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS} if os.name == "posix" else {}
+    )
+    return mi.Int64(np.frombuffer(mmap.mmap(-1, 8 * n, **posix), np.int64))
 
 
 def _first(sums: mi.Int64, shape: tuple[int, ...]) -> Integers:
