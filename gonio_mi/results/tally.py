@@ -130,7 +130,7 @@ class Ledger:
     @property
     def emitted(self) -> int:
         """All rays: the sum of the rows."""
-        return sum(self.rows.values())
+        return sum(vars(self).values()) - self.over_the_edge
 
     def __add__(self, other: Ledger) -> Ledger:
         """Ledger of both sets of rays."""

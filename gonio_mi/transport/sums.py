@@ -144,26 +144,25 @@ class Exact:
         """
         usual = {UNIT: self._words[UNIT]} if UNIT in self._words else self._words
         powers = _powers(usual, scale)
-        some = np.zeros(powers.shape, bool)
-        for unit in self._words.keys() - usual.keys():
-            for word in self._words[unit]:
-                some |= word != 0
-        if some.any():  # few of them
-            every = self._words.items()
-            few = {unit: tuple(word[some] for word in words) for unit, words in every}
-            powers[some] = _powers(few, scale)
+        rare = self._words.keys() - usual.keys()
+        met = [np.flatnonzero(word != 0) for unit in rare for word in self._words[unit]]
+        if any(map(len, met)):  # few of them
+            some, every = np.unique(np.concatenate(met)), self._words.items()
+            few = {u: tuple(x.reshape(-1)[some] for x in words) for u, words in every}
+            powers.reshape(-1)[some] = _powers(few, scale)
         return powers
 
 
 def _powers(units: dict[int, tuple[Integers, ...]], scale: int) -> Floats:
     """Powers, in float64, of words by the exponents of two of their units."""
-    total: Any = 0.0
+    total: Any = None
     for unit, (*high, low) in sorted(units.items()):
         number = low.astype(float)
         for word in high:
             number += word * 2.0**32
         number *= 2.0**unit * scale
-        number += total
+        if total is not None:
+            number += total
         total = number
     return total
 
