@@ -33,7 +33,7 @@ FUSED_SUMS = 2**20
 
 # Rays of the first launch: traced and on a plane; and points that traced ones send
 # light to. Then as many as take a second.
-FIRST_TRACED, FIRST_PLANE = 2**18, 2**20
+FIRST_TRACED, FIRST_PLANE = 3 * 2**17, 2**20
 FIRST_POINTS = 2**22
 
 # Rays of each batch in a round: traced and on a plane. Of samplers whose numbers
@@ -208,7 +208,9 @@ class Launcher:
             n = min(self.most, end - begin)
             if self.divisible:
                 n = self.size.next_part(begin, end, self.most)
-            parts = tuple(min(n, start + size - begin) for size in sizes)
+            parts = sizes
+            if n < end - start:
+                parts = tuple(min(n, start + size - begin) for size in sizes)
             yield replace(whole, sizes=parts, begin=begin)
             begin += n
 

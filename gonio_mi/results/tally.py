@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
+from functools import cached_property
 from typing import Any, ClassVar, SupportsInt
 
 import numpy as np
@@ -129,7 +130,7 @@ class Ledger:
     @property
     def emitted(self) -> int:
         """All rays: the sum of the rows."""
-        return sum(self.rows.values())
+        return sum(vars(self).values()) - self.over_the_edge
 
     def __add__(self, other: Ledger) -> Ledger:
         """Ledger of both sets of rays."""
@@ -215,7 +216,7 @@ class Tally:
         arrays = (getattr(self, name) for name in self.of_channels)
         return all(bool(np.all(array == array[..., :1])) for array in arrays)
 
-    @property
+    @cached_property
     def ledger(self) -> Ledger:
         """:class:`Ledger` over all batches."""
         return Ledger.from_counts(self.fates.sum(axis=0))

@@ -106,10 +106,17 @@ class Curve:
         first, last = self.part or (0, self._length)
         start, n = self.begin % 2**32, last - first
         shift, length = dr.opaque(mi.UInt32, first), -(-n // chunk) * chunk
+        own = self.end - self.begin
+        # a few lanes without a ray cost less than to leave them out
+        leaves_out = own < 7 << bits >> 3 or (together << bits) % chunk
         lane = dr.arange(mi.UInt32, self.groups * length)
         group, step = mi.UInt32(0), lane
         if self.groups > 1:
-            group, step = split_lanes(lane, length)
+            # in turns, for what the others have met there is still at hand
+            several = chunk if leaves_out else self._least
+            turn, step = split_lanes(lane, self.groups * several)
+            group, step = split_lanes(step, several)
+            step += turn * dr.opaque(mi.UInt32, several)
         place, sequence = split_lanes(step + shift, together)
         sequence = sequence * self.groups + group
         size = dr.opaque(mi.UInt32, 1 << bits)
@@ -121,15 +128,13 @@ class Curve:
         base = start >> bits << bits
         tables = curve_tables(base, bits, keys, self.sequences)
         index, eighth = on_curve(tables, place, sequence, base, bits)
-        own = self.end - self.begin
         start, outside = (dr.opaque(mi.UInt32, x) for x in (start, own))
         index = dr.select(step < dr.opaque(mi.UInt32, n), index, start + outside)
         joined = together << bits - _leading_digits(bits)
         if joined > 1:
             index, sequence = sorted_within(joined, eighth, index, sequence)
         dr.eval(index, sequence)
-        # a few lanes without a ray cost less than to leave them out
-        if own < 7 << bits >> 3 or (together << bits) % chunk:
+        if leaves_out:
             idle = mi.UInt32(index - start >= outside)
             kept = _whole_packets(idle, lane, chunk)
             index, sequence = (dr.gather(mi.UInt32, x, kept) for x in (index, sequence))
@@ -158,8 +163,12 @@ class Curve:
         Whole packets, and up to four places in a row, which :func:`leading_digits` may
         not tell apart. Each chunk is filled up to whole packets.
         """
-        least = lcm(PACKET, 4 * self._together)
-        return -(-CHUNK // least) * least
+        return -(-CHUNK // self._least) * self._least
+
+    @property
+    def _least(self) -> int:
+        """Steps of whole packets that nothing moves out of."""
+        return lcm(PACKET, 4 * self._together)
 
 
 def curves(begin: int, end: int, sequences: int, groups: int) -> Iterator[Curve]:

@@ -116,7 +116,7 @@ class Setup:
         """Azimuth, likewise."""
         return self.incident[1] if self.incident else self.beam.phi_i
 
-    @property
+    @cached_property
     def key(self) -> tuple[int, ...]:
         """What tells its rays from others of the same seed."""
         return (self.settings.seed, *incident_key(self.incident))

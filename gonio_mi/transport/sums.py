@@ -10,6 +10,8 @@ sorted by eight exponents at a time into levels, each with a unit of its own.
 from __future__ import annotations
 
 import math
+import mmap
+import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -142,26 +144,25 @@ class Exact:
         """
         usual = {UNIT: self._words[UNIT]} if UNIT in self._words else self._words
         powers = _powers(usual, scale)
-        some = np.zeros(powers.shape, bool)
-        for unit in self._words.keys() - usual.keys():
-            for word in self._words[unit]:
-                some |= word != 0
-        if some.any():  # few of them
-            every = self._words.items()
-            few = {unit: tuple(word[some] for word in words) for unit, words in every}
-            powers[some] = _powers(few, scale)
+        rare = self._words.keys() - usual.keys()
+        met = [np.flatnonzero(word != 0) for unit in rare for word in self._words[unit]]
+        if any(map(len, met)):  # few of them
+            some, every = np.unique(np.concatenate(met)), self._words.items()
+            few = {u: tuple(x.reshape(-1)[some] for x in words) for u, words in every}
+            powers.reshape(-1)[some] = _powers(few, scale)
         return powers
 
 
 def _powers(units: dict[int, tuple[Integers, ...]], scale: int) -> Floats:
     """Powers, in float64, of words by the exponents of two of their units."""
-    total: Any = 0.0
+    total: Any = None
     for unit, (*high, low) in sorted(units.items()):
         number = low.astype(float)
         for word in high:
             number += word * 2.0**32
         number *= 2.0**unit * scale
-        number += total
+        if total is not None:
+            number += total
         total = number
     return total
 
@@ -230,7 +231,7 @@ class Sums:
         plain &= mi.variant().startswith("llvm")
         self.one = 0 if plain else 1 if self.counted else ONE
         n_rare = self.channels * n_batches * setup.n_bins
-        self.rare = _room(len(self.levels) * n_rare)
+        self.rare = _spare_room(len(self.levels) * n_rare)
         # whether there was such a power, for each level
         self.met = dr.zeros(mi.UInt32, LEVELS)
         n_incident = 0 if setup.beam.uniform else self.channels * n_batches
@@ -244,7 +245,7 @@ class Sums:
         if self.n_columns:
             n_units = len(COLUMN_UNITS) * self.channels * n_batches
             size = n_units * setup.n_collected * self.column_width
-            self.columns = _room(size)
+            self.columns = _spare_room(size)
 
     def add(
         self, bins: mi.UInt32, exits: Exits, active: mi.Bool, batch: mi.UInt32
@@ -562,6 +563,20 @@ def _room(n: int) -> mi.Int64:
     """
     few = 0 < n <= dr.expand_threshold()
     return dr.zeros(mi.Int64, 1 << (n - 1).bit_length() if few else n)
+
+
+def _spare_room(n: int) -> mi.Int64:
+    """Zeros for `n` sums of which few are used: the others take no memory, nor time.
+
+    The system makes the pages that are added to.
+    """
+    if n <= dr.expand_threshold() or not mi.variant().startswith("llvm"):
+        return _room(n)
+    # on Windows they are private anyway
+    posix = (
+        {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS} if os.name == "posix" else {}
+    )
+    return mi.Int64(np.frombuffer(mmap.mmap(-1, 8 * n, **posix), np.int64))
 
 
 def _first(sums: mi.Int64, shape: tuple[int, ...]) -> Integers:

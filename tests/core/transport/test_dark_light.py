@@ -18,6 +18,7 @@ import gonio_mi as gonio
 from gonio_mi.instrument.launcher import LaunchSize
 from gonio_mi.results.tally import WEIGHT_SCALE
 from gonio_mi.specimen.loading import load_specimen
+from gonio_mi.transport.method import USUAL_LEVELS
 from gonio_mi.transport.sums import LEVELS, ONE, Digits, Exact, unit_of
 from gonio_mi.transport.surface_events import RARE as RARE_CHANCE, whole_number
 
@@ -233,6 +234,19 @@ def test_threads_and_launches_do_not_matter(monkeypatch):
             LaunchSize, "next_part", lambda _, a, b, most, n=size: min(n, b - a, most)
         )
         assert tallies() == whole
+
+
+def test_faint_light_in_a_stack_is_that_alone():
+    """Exact: also where the room for rare powers is made as they are met."""
+    theta_i = np.linspace(0, 80, 24)
+    how = {"estimator": "weighted", "rays": 2**12, "collector": "projected:30x30"}
+    stack = gonio.measure(matte(1e-5), theta_i.tolist(), **how)
+    bins = theta_i.size * stack.n_batches * stack.subdivision.n_patches
+    assert len(USUAL_LEVELS) * bins > dr.expand_threshold()
+    for index in (0, 23):
+        alone = gonio.measure(matte(1e-5), float(theta_i[index]), **how)
+        assert np.array_equal(stack.brdf[index], alone.brdf)
+        assert alone.brdf.any()
 
 
 @pytest.mark.parametrize("suffix", ["npz", "exr"])
