@@ -17,14 +17,13 @@ from gonio_mi.array_types import Floats
 from gonio_mi.errors import SettingError, abridged
 from gonio_mi.materials.interpolation.interpolated_bsdf import (
     InterpolatedBSDF,
-    Lookup,
     half_vector_segments,
-    join_quantiles,
-    moved_at_once,
 )
-from gonio_mi.materials.interpolation.interpolated_lobes import Moved
 from gonio_mi.materials.interpolation.lobes import MeasuredLobes
-from gonio_mi.materials.interpolation.radiance_guide import radiance_guide
+from gonio_mi.materials.interpolation.radiance_guide import (
+    RadianceGuide,
+    radiance_guide,
+)
 from gonio_mi.plugins import bsdf_functions
 from gonio_mi.results.record import XYZ, Record, wavelengths_nm
 
@@ -155,7 +154,6 @@ class Goniometric(mi.BSDF):
         #: patches in which the front and the back were measured
         self.patches = tuple(face and face.patches for face in self.faces)
         self._declare()
-        self._are_joined = join_quantiles(self.faces)
         #: what is drawn in radiance mode, if not what is in importance mode
         self.guide = radiance_guide(self.faces)
 
@@ -201,8 +199,8 @@ class Goniometric(mi.BSDF):
     ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
         """Pick a hemisphere by `sample1` and draw `wo` by `sample2`."""
         bs = dr.zeros(mi.BSDFSample3f)
-        if self._is_guided(ctx):
-            bs.wo = self.guide.sample(si.wi, self._enabled(ctx), sample1, sample2)
+        if (guide := self._guide(ctx)) is not None:
+            bs.wo = guide.sample(si.wi, self._enabled(ctx), sample1, sample2)
         else:
             bs.wo = self._drawn_of_lobes(ctx, si.wi, sample1, sample2, active)
         value, bs.pdf = self.eval_pdf(ctx, si, bs.wo, active)
@@ -223,15 +221,15 @@ class Goniometric(mi.BSDF):
             return bsdf_functions.depolarised(value), pdf
         value, _ = self._from_emitter(ctx, wo, si.wi, si.wavelengths, active)
         value *= dr.select(si.wi.z == 0, 0, dr.abs(wo.z / si.wi.z))
-        if self._is_guided(ctx):
-            pdf = self.guide.pdf(si.wi, wo, self._enabled(ctx), active)
+        if (guide := self._guide(ctx)) is not None:
+            pdf = guide.pdf(si.wi, wo, self._enabled(ctx), active)
         else:
             pdf = self._density_of_lobes(ctx, si, wo, active)
         return bsdf_functions.depolarised(value), pdf
 
-    def _is_guided(self, ctx: mi.BSDFContext) -> bool:
-        """Whether directions are drawn of the guide."""
-        return self.guide is not None and ctx.mode != mi.TransportMode.Importance
+    def _guide(self, ctx: mi.BSDFContext) -> RadianceGuide | None:
+        """What directions are drawn of; None where it is the lobes."""
+        return None if ctx.mode == mi.TransportMode.Importance else self.guide
 
     def _drawn_of_lobes(
         self,
@@ -241,7 +239,7 @@ class Goniometric(mi.BSDF):
         sample2: mi.Point2f,
         active: mi.Bool | bool,
     ) -> mi.Vector3f:
-        """Direction of the lobes for light from `wi`; in radiance mode some even."""
+        """Direction drawn of the lobes; in radiance mode some are drawn evenly."""
         drawn = mi.Vector3f(0)
         for side, guide, hemispheres in self._guides(ctx):
             lit = active & (wi.z * side > 0)
@@ -289,28 +287,15 @@ class Goniometric(mi.BSDF):
     ) -> tuple[mi.Spectrum, mi.Float]:
         """Value and density of `detector` for light from the direction `to_emitter`."""
         value, pdf = mi.UnpolarizedSpectrum(0), mi.Float(0)
-        enabled = self._enabled(ctx)
-        asked = [
-            (face, active & (to_emitter.z * side > 0), side)
-            for face, side in zip(self.faces, SIDES)
-            if face is not None
-        ]
-        directions = [
-            (_seen(to_emitter, side), _seen(detector, side)) for *_, side in asked
-        ]
-        lookups, moved = [None] * len(asked), None
-        if self._are_joined:
-            lookups = [
-                face.lookup(*of, enabled, lit)
-                for (face, lit, _), of in zip(asked, directions)
-            ]
-            moved = moved_at_once(self.faces, lookups)
-        for (face, lit, _), of, lookup in zip(asked, directions, lookups):
-            face_value, face_pdf = _looked_up(
-                face, enabled, lit, *of, wavelengths, lookup, moved
-            )
-            value += face_value & lit
-            pdf += dr.select(lit, face_pdf, 0)
+        for face, side in zip(self.faces, SIDES):
+            if face is not None:
+                lit = active & (to_emitter.z * side > 0)
+                directions = _seen(to_emitter, side), _seen(detector, side)
+                face_value, face_pdf = _looked_up(
+                    face, self._enabled(ctx), lit, *directions, wavelengths
+                )
+                value += face_value & lit
+                pdf += dr.select(lit, face_pdf, 0)
         return value, pdf
 
     def _guides(
@@ -349,8 +334,6 @@ def _looked_up(
     wi: mi.Vector3f,
     wo: mi.Vector3f,
     wavelengths: mi.Spectrum,
-    lookup: Lookup | None = None,
-    moved: Moved | None = None,
 ) -> tuple[mi.Spectrum, mi.Float]:
     """Value and density of a face; where no lane of a vector is lit, none is asked."""
     lit = (
@@ -358,8 +341,6 @@ def _looked_up(
     )  # as wide as all that is asked for
 
     def asked(wi: Any, wo: Any, nm: Any) -> tuple[mi.Spectrum, mi.Float]:
-        if lookup is not None:
-            return face.evaluated(lookup, nm, moved)
         return face.eval_pdf(wi, wo, hemispheres, lit, nm)
 
     def nothing(*_: Any) -> tuple[mi.Spectrum, mi.Float]:

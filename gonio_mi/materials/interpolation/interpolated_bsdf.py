@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import drjit as dr
 import mitsuba as mi
@@ -22,7 +22,6 @@ from .incident_grid import MIN_BENDING, tried_indices
 from .interpolated_lobes import (
     HalfVectorSegments,
     InterpolatedLobes,
-    Moved,
     QuantileTransport,
 )
 from .lobes import LobeTable, MeasuredLobes, mean_lobe
@@ -31,25 +30,12 @@ from .lookups import (
     IncidentPlaces,
     Place,
     Turn,
-    Vector,
     packet,
     seen_from,
     singles,
     towards,
     turn_by,
 )
-
-
-@dataclass(frozen=True)
-class Lookup:
-    """Where to look in a table for a pair of directions."""
-
-    places: list[Place]
-    hemisphere: mi.UInt32
-    point: Vector  # of the outgoing direction in the frame of incidence
-    wanted: mi.Bool
-    cosine: mi.Float
-    enabled: tuple[bool, bool]
 
 
 class InterpolatedBSDF:
@@ -108,14 +94,8 @@ class InterpolatedBSDF:
 
         `enabled` holds whether reflection and transmission are asked for.
         """
-        return self.evaluated(self.lookup(wi, wo, enabled, active), wavelengths)
-
-    def evaluated(
-        self, lookup: Lookup, wavelengths: mi.Spectrum, moved: Moved | None = None
-    ) -> tuple[mi.Spectrum, mi.Float]:
-        """The same of a lookup; of what moves by quantiles, it may be known where."""
-        value, total = self._values(lookup, moved)
-        wanted, cosine = lookup.wanted, lookup.cosine
+        value, total, wanted = self.values(wi, wo, enabled, active)
+        cosine = dr.abs(wo.z)
         mean = sum(value) / len(value)
         pdf = dr.select(wanted & (total > 0), mean / total * cosine, 0)
         value = self._spectrum(value, wavelengths)
@@ -147,17 +127,6 @@ class InterpolatedBSDF:
         active: mi.Bool = True,
     ) -> tuple[list[mi.Float], mi.Float, mi.Bool]:
         """BSDF in 1/sr in each channel; all the light; where the first is not zero."""
-        lookup = self.lookup(wi, wo, enabled, active)
-        return *self._values(lookup), lookup.wanted
-
-    def lookup(
-        self,
-        wi: mi.Vector3f,
-        wo: mi.Vector3f,
-        enabled: tuple[bool, bool],
-        active: mi.Bool,
-    ) -> Lookup:
-        """Where to look for light from `wi` in the direction `wo`."""
         lower = wo.z < 0
         wanted = active & dr.select(lower, enabled[1], enabled[0]) & (wo.z != 0)
         hemisphere = mi.UInt32(0)
@@ -166,23 +135,15 @@ class InterpolatedBSDF:
         else:
             hemisphere = dr.select(lower, mi.UInt32(1), hemisphere)
         frame = self.incident.frame(wi)
-        places = self.incident.around(wi, frame)
-        where = hemisphere, seen_from(wo, frame), wanted
-        return Lookup(places, *where, dr.abs(wo.z), enabled)
-
-    def _values(
-        self, lookup: Lookup, moved: Moved | None = None
-    ) -> tuple[list[mi.Float], mi.Float]:
-        """BSDF in 1/sr in each channel, and all the light."""
+        point = seen_from(wo, frame)
         value = [mi.Float(0)] * self.lobes.n_channels
         total = mi.Float(0)
-        where = lookup.hemisphere, lookup.point, lookup.wanted
-        for place in lookup.places:
-            total += sum(flux for *_, flux in self._fluxes(place, lookup.enabled))
-            brdf = self.lobes.values(place, *where, moved)
+        for place in self.incident.around(wi, frame):
+            total += sum(flux for *_, flux in self._fluxes(place, enabled))
+            brdf = self.lobes.values(place, hemisphere, point, wanted)
             value = [a + place.weight * b for a, b in zip(value, brdf)]
         # differences of what is moved may round to less than 0
-        return [dr.maximum(one, 0) for one in value], total
+        return [dr.maximum(one, 0) for one in value], total, wanted
 
     def _fluxes(
         self, place: Place, enabled: tuple[bool, bool]
@@ -269,31 +230,6 @@ class InterpolatedBSDF:
         place = replace(first, turns=turns, rows=(low, high), past=Turn(cos, sin))
         point = self.lobes.drawn(place, hemisphere, end, sample2)
         return towards(point, frame, hemisphere == 0)
-
-
-def join_quantiles(faces: Sequence[InterpolatedBSDF | None]) -> bool:
-    """Whether both faces move lobes by quantiles, henceforth in the same tables."""
-    lobes = [face.lobes for face in faces if face is not None]
-    quantiles = [one.quantiles for one in lobes if one.quantiles is not None]
-    if len(quantiles) < 2:
-        return False
-    for one, own in zip(lobes, quantiles[0].joined(quantiles[1])):
-        one.quantiles = own
-    return True
-
-
-def moved_at_once(
-    faces: Sequence[InterpolatedBSDF], lookups: Sequence[Lookup]
-) -> Moved:
-    """What moves by quantiles on one of two joined faces: that which is wanted.
-
-    Where a vector of lanes has both, quantiles are sought but once.
-    """
-    front, back = (
-        face.lobes.asked(one.places[0], one.hemisphere, one.point, one.wanted)
-        for face, one in zip(faces, lookups)
-    )
-    return faces[0].lobes.sought(back.where(lookups[1].wanted, front))
 
 
 # --------------------------------------------------------------------- cross-validation

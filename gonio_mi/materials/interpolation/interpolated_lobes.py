@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -43,16 +42,8 @@ class _Pieces:
     def __init__(self, pieces: Singles) -> None:
         self.n = pieces.shape[-2]
         rows = pieces.reshape(-1, self.n, 4)
-        self.n_rows = len(rows)
         self.packets = singles(pieces)
         self.tree = SearchTree(*np.moveaxis(rows[:, 1:, :2], -1, 0))
-
-    def and_(self, others: _Pieces) -> _Pieces:
-        """These rows, and then others."""
-        both = copy.copy(self)
-        both.packets = dr.concat([self.packets, others.packets])
-        both.tree = self.tree.and_(others.tree)
-        return both
 
     def find(self, row: mi.UInt32, coordinate: mi.Float, start: mi.Float) -> _OnPiece:
         """The piece of a row on which a point is at `start` of the segment."""
@@ -101,39 +92,21 @@ class QuantileTransport:
         pieces = transport_pieces(table.brdf[0], table.patches, table.grid.phi_i[0])
         self.n_hemispheres = table.brdf.shape[2]
         self.strips, self.cells = map(_Pieces, pieces)
-        self.first = mi.UInt32(0)
-
-    def joined(
-        self, other: QuantileTransport
-    ) -> tuple[QuantileTransport, QuantileTransport]:
-        """Both with the same tables, which hold the rows of both."""
-        strips, cells = self.strips.and_(other.strips), self.cells.and_(other.cells)
-        both = copy.copy(self), copy.copy(other)
-        for one in both:
-            one.strips, one.cells = strips, cells
-        both[1].first = dr.opaque(mi.UInt32, self.strips.n_rows)
-        return both
-
-    def row(self, place: Place, hemisphere: mi.UInt32) -> mi.UInt32:
-        """Row of a segment and hemisphere."""
-        return self.first + place.segment * self.n_hemispheres + hemisphere
 
     def moved_where(
         self,
         active: mi.Bool,
-        row: mi.UInt32,
+        place: Place,
+        hemisphere: mi.UInt32,
         point: Vector,
         start: mi.Float,
         ends: Sequence[mi.Float | int],
     ) -> list[tuple[Vector, mi.Float]]:
-        """As :meth:`moved`; where no lane of a vector is active, nothing is sought.
-
-        All is as wide as the mask and the point together.
-        """
-        active = active & (point[0] <= 2)
+        """As :meth:`moved`; where no lane of a vector is active, nothing is sought."""
+        active = active & (point[0] <= 2) & (place.t >= 0) & (hemisphere < 2)
 
         def sought(*point: mi.Float) -> list[tuple[Vector, mi.Float]]:
-            return self.moved(row, list(point), start, ends)
+            return self.moved(place, hemisphere, list(point), start, ends)
 
         def unmoved(*point: mi.Float) -> list[tuple[Vector, mi.Float]]:
             return [(list(point), mi.Float(1)) for _ in ends]
@@ -144,12 +117,13 @@ class QuantileTransport:
 
     def moved(
         self,
-        row: mi.UInt32,
+        place: Place,
+        hemisphere: mi.UInt32,
         point: Vector,
         start: mi.Float,
         ends: Sequence[mi.Float | int],
     ) -> list[tuple[Vector, mi.Float]]:
-        """Where a point at `start` of a row's segment is at each of `ends`.
+        """Where a point at `start` of the segment is at each of `ends`.
 
         Each with the stretch of areas.
         """
@@ -157,6 +131,7 @@ class QuantileTransport:
         across2 = y * y + z * z
         per_across = dr.rsqrt(dr.maximum(across2, TINY))
         v, depth2 = y * per_across, dr.square(z * per_across)
+        row = place.segment * self.n_hemispheres + hemisphere
         strip = self.strips.find(row, dr.clip(x, -1, 1), start)
         cell = self.cells.find(strip.index, dr.clip(v, -1, 1), start)
         found = []
@@ -170,34 +145,6 @@ class QuantileTransport:
             # of y / v, at the new point and at the old one
             found.append((moved, stretch_x * stretch_v * across * per_across))
         return found
-
-
-@dataclass(frozen=True)
-class Asked:
-    """Points that may move by quantiles to both ends of their segments."""
-
-    active: mi.Bool  # where they do
-    row: mi.UInt32
-    t: mi.Float  # how far on the segment
-    point: Vector
-
-    def where(self, mask: mi.Bool, others: Asked) -> Asked:
-        """These where a mask is true, and others elsewhere."""
-        numbers = [
-            dr.select(mask, own, other)
-            for own, other in zip(
-                (self.active, self.row, self.t), (others.active, others.row, others.t)
-            )
-        ]
-        return Asked(*numbers, selected(mask, self.point, others.point))
-
-
-@dataclass(frozen=True)
-class Moved:
-    """The same, moved."""
-
-    active: mi.Bool
-    ends: list[tuple[Vector, mi.Float]]  # with the stretch of areas
 
 
 @dataclass(frozen=True)
@@ -462,45 +409,28 @@ class InterpolatedLobes:
         self.measured = LobeArrays(table)
         self.n_channels = self.measured.n_channels
 
-    def asked(
-        self, place: Place, hemisphere: mi.UInt32, point: Vector, active: mi.Bool
-    ) -> Asked:
-        """What :meth:`QuantileTransport.moved` is asked for :meth:`values`."""
-        by_quantiles = active & ~self.normals.move(place, hemisphere)
-        wide = (place.t >= 0) & (hemisphere < 2)
-        row = self.quantiles.row(place, hemisphere)
-        return Asked(by_quantiles & wide, row, place.t, point)
-
-    def sought(self, asked: Asked) -> Moved:
-        """What is moved by quantiles."""
-        at = asked.active, asked.row, asked.point, asked.t
-        return Moved(asked.active, self.quantiles.moved_where(*at, (0, 1)))
-
     def values(
-        self,
-        place: Place,
-        hemisphere: mi.UInt32,
-        point: Vector,
-        active: mi.Bool,
-        moved: Moved | None = None,
+        self, place: Place, hemisphere: mi.UInt32, point: Vector, active: mi.Bool
     ) -> list[mi.Float]:
         """BRDF in 1/sr of each channel, of one azimuth's lobes; 0 where not active.
 
         What micro-normals of both ends of the segment send, and what stays; or what
-        moves by quantiles, where it is `moved` if that is known.
+        moves by quantiles.
         """
         values = [mi.Float(0)] * self.n_channels
-        if moved is None and self.quantiles is not None:
-            moved = self.sought(self.asked(place, hemisphere, point, active))
+        others, by_quantiles = [], mi.Bool(False)
+        if self.quantiles is not None:
+            by_quantiles = active & ~self.normals.move(place, hemisphere)
+            at = place, hemisphere, point, place.t
+            others = self.quantiles.moved_where(by_quantiles, *at, (0, 1))
         stays = []
         for end, row in enumerate(place.rows):
             row = row * self.n_hemispheres + hemisphere
             way = place, end, hemisphere, point
             source, stretch, comes = self.normals.came_from(*way)
-            if moved is not None:
-                at_end, own_stretch = moved.ends[end]
-                source = selected(moved.active, at_end, source)
-                stretch = dr.select(moved.active, own_stretch, stretch)
+            if others:
+                source = selected(by_quantiles, others[end][0], source)
+                stretch = dr.select(by_quantiles, others[end][1], stretch)
             own = self.measured.values(row, place.turns, source, active & comes)
             stretch *= place.fraction(end)
             values = [a + stretch * b for a, b in zip(values, own)]
@@ -557,7 +487,6 @@ class InterpolatedLobes:
             return sent
         start = dr.select(mi.Bool(end), mi.Float(1), 0)
         others = ~self.normals.move(place, hemisphere) & (start >= 0)
-        others &= (place.t >= 0) & (hemisphere < 2)
-        at = self.quantiles.row(place, hemisphere), point, start
+        at = place, hemisphere, point, start
         ((moved, _),) = self.quantiles.moved_where(others, *at, [place.t])
         return selected(others, moved, sent)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -185,12 +184,6 @@ class SearchTree:
             levels.insert(0, _in_groups(last, -(-n // self.n_at_once)))
         self.n_groups = [level.shape[1] for level in levels]
         self.arrays = [singles(level) for level in levels]
-
-    def and_(self, others: SearchTree) -> SearchTree:
-        """These rows, and then others that are as long."""
-        both = copy.copy(self)
-        both.arrays = [dr.concat(pair) for pair in zip(self.arrays, others.arrays)]
-        return both
 
     def find(self, row: mi.UInt32, value: mi.Float, t: Any = None) -> mi.UInt32:
         """How many pieces of a row end at a value or below."""

@@ -195,10 +195,10 @@ def _shares(weights: Floats, areas: Floats) -> Floats:
 
     `EVEN` of them over the hemispheres that have light in any of their side's rows.
     """
-    over = {"axis": (2, 3, 4), "keepdims": True}
-    total = weights.sum(**over)
+    over = 2, 3, 4
+    total = weights.sum(over, keepdims=True)
     even = weights.any(axis=(1, 3, 4), keepdims=True) * areas
-    even = even / np.maximum(even.sum(**over), areas.min())
+    even = even / np.maximum(even.sum(over, keepdims=True), areas.min())
     shares = weights / np.where(total > 0, total, 1)
     return np.where(total > 0, (1 - EVEN) * shares + EVEN * even, 0)
 

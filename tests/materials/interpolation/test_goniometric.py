@@ -347,27 +347,6 @@ def test_pictures_draw_what_they_see(plugin, tmp_path, component, side):
     assert weights.std() < expected.std() / 2
 
 
-def test_faces_whose_quantiles_are_sought_at_once_are_themselves(
-    plugin, tmp_path, monkeypatch
-):
-    """Lanes of both faces side by side, to the last bit; twin: of equal faces not."""
-    record, other = isotropic(both=True, power=8), isotropic(seed=5, both=True)
-    path = saved(other, tmp_path)
-    joined = plugin(record, back_filename=path)
-    monkeypatch.setattr(
-        "gonio_mi.materials.goniometric.join_quantiles", lambda _: False
-    )
-    apart = plugin(record, back_filename=path)
-    equal = plugin(record, back_filename=saved(record, tmp_path))
-    wo = direction(*np.random.default_rng(1).uniform(0, 3.1, (2, 1000)))
-    for mode in (IMPORTANCE, RADIANCE):
-        found, *others = (
-            values(bsdf, wo, 40, side=-1, mode=mode) for bsdf in (joined, apart, equal)
-        )
-        same = [np.array_equal(found, one) for one in others]
-        assert same == [True, False]
-
-
 def test_a_face_that_was_not_measured_is_black(plugin):
     """In pictures, too: seen from behind is what was lit in front, and else nothing."""
     bsdf = plugin(isotropic(both=True))
