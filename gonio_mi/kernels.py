@@ -151,9 +151,9 @@ def watched(register: Callable[..., None]) -> Callable[..., None]:
     """``mi.register_bsdf`` or its like that notes the names of plugins."""
 
     @functools.wraps(register)
-    def noted(name: str, *factory: Any, **named: Any) -> None:
-        registered_by_others.add(name)
-        register(name, *factory, **named)
+    def noted(*given: Any, **named: Any) -> None:
+        register(*given, **named)
+        registered_by_others.add(given[0] if given else named["name"])
 
     return noted
 
