@@ -155,8 +155,10 @@ def _content(value: Any) -> Any:
         items = ((key, _content(one)) for key, one in value.items())
         files = map(_content_of_files, value.items())
         return (*items, *files)
-    if value is None or type(value) in (bool, int, float, str):
-        return type(value), repr(value)
+    if value is None or type(value) in (bool, int, str):
+        return type(value), value
+    if type(value) is float:
+        return repr(value)  # tells zeros apart, and NaN equals itself
     if type(value) in (list, tuple):
         return type(value), *map(_content, value)
     if isinstance(value, mi.Object):
@@ -208,6 +210,7 @@ def _content_of_files(item: tuple[str, Any]) -> Any:
         return ()
     names = [value, *(name.format(value) for name in DATA)]
     try:
+        value.encode()  # Mitsuba writes on standard error that it cannot
         found = (Path(str(mi.file_resolver().resolve(name))) for name in names)
         paths = dict.fromkeys([Path(value), *found])
         texts = [path.read_bytes() for path in paths if path.is_file()]

@@ -400,6 +400,13 @@ def test_what_cannot_be_told_is_loaded(value):
         assert not shapes.kept
 
 
+@pytest.mark.parametrize("value", [10**5000, "\udc80"], ids=["number", "name"])
+def test_what_mitsuba_cannot_read_has_its_sentence(value, capfd):
+    with pytest.raises(SpecimenError, match=r"cannot be loaded"):
+        measured({"type": "diffuse", "reflectance": value})
+    assert not capfd.readouterr().err
+
+
 # ---------------------------------------------------------------------------- as guests
 
 
