@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -88,10 +89,10 @@ def loaded_once(
     """Context with the specimen of :func:`.specimen_of`, or with it as it was kept.
 
     It is kept if the context, in which it is tried, gives no error and no warning:
-    these are given each time. There is one at most, until something else is loaded.
-    Never kept are scene files; what holds plugins in Python of others, whose loading
-    and trial may do anything; and anything else of which it is not known how it would
-    be loaded again.
+    these are given each time. There is one at most, for the thread that loaded it,
+    until something else is loaded. Never kept are scene files; what holds plugins in
+    Python of others, whose loading and trial may do anything; and anything else of
+    which it is not known how it would be loaded again.
 
     Parameters
     ----------
@@ -102,7 +103,9 @@ def loaded_once(
         yield specimen
         return
     try:
-        given = None if parameters else (mi.variant(), _given(specimen, period))
+        # Dr.Jit 1.5 refuses what another thread has recorded and not yet evaluated
+        where = mi.variant(), threading.get_ident()
+        given = None if parameters else (*where, _given(specimen, period))
     except _CannotTell:
         given = None
     known = kept.pop() if kept else None

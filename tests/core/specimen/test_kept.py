@@ -437,6 +437,23 @@ def test_threads_take_turns():
     assert not wrong
 
 
+def test_what_another_thread_has_kept_is_loaded(loads):
+    """Dr.Jit refuses the variables of a thread that is younger than this one."""
+    results = []
+
+    def work():
+        results.extend(measured(field()) for _ in range(2))
+
+    for _ in range(2):
+        thread = threading.Thread(target=work)
+        thread.start()
+        thread.join()
+        work()
+    assert len(results) == 8
+    assert len(set(results)) == 1
+    assert len(loads) == 4
+
+
 def test_a_process_ends_in_order():
     """With specimens of two variants, one of them kept."""
     lines = OVERRIDDEN.splitlines()[:7]
