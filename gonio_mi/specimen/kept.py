@@ -89,10 +89,11 @@ def loaded_once(
     """Context with the specimen of :func:`.specimen_of`, or with it as it was kept.
 
     It is kept if the context, in which it is tried, gives no error and no warning:
-    these are given each time. There is one at most, for the thread that loaded it,
-    until something else is loaded. Never kept are scene files; what holds plugins in
-    Python of others, whose loading and trial may do anything; and anything else of
-    which it is not known how it would be loaded again.
+    these are given each time; what Mitsuba logs of it, once. There is one at most, for
+    the thread that loaded it, until something else is loaded or there is an error.
+    Never kept are scene files; what holds plugins in Python of others, whose loading
+    and trial may do anything; and anything else of which it is not known how it would
+    be loaded again.
 
     Parameters
     ----------
