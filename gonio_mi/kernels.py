@@ -26,6 +26,9 @@ _own = threading.local()
 # Names that others have registered plugins under since this package was imported.
 registered_by_others: set[str] = set()
 
+# What frees objects that are kept for the next call, after an error.
+_frees: list[Callable[[], None]] = []
+
 # Seconds that Python's exit waits at most for the launch of another thread.
 PATIENCE = 30.0
 
@@ -46,7 +49,8 @@ class launches_kernels(ContextDecorator):  # noqa: N801
     the errors that Dr.Jit wraps it in. The variables of its traceback are released: a
     specimen that they kept would take part in all kernels from then on, for Dr.Jit
     records the calls of every BSDF that exists, and each measurement would fail like
-    the first. So what is set up must be held by functions that the context calls.
+    the first, and what the host renders. So what is set up must be held by functions
+    that the context calls, or be freed by one that is :func:`called_after_errors`.
 
     Raises
     ------
@@ -79,6 +83,8 @@ class launches_kernels(ContextDecorator):  # noqa: N801
         try:
             if error is not None:
                 _let_go(error)
+                for free in _frees:
+                    free()
             else:
                 check_variant_kept()
             if error is not None and _is_wrapped(error):
@@ -89,6 +95,12 @@ class launches_kernels(ContextDecorator):  # noqa: N801
             # no variable of this very frame may hold what holds the frame
             del error, _
             drjit_lock.release()
+
+
+def called_after_errors(free: Callable[[], None]) -> Callable[[], None]:
+    """Function that the end of :class:`launches_kernels` calls after an error."""
+    _frees.append(free)
+    return free
 
 
 def in_memory(numbers: Iterable[float]) -> list[mi.Float]:
@@ -151,9 +163,9 @@ def watched(register: Callable[..., None]) -> Callable[..., None]:
     """``mi.register_bsdf`` or its like that notes the names of plugins."""
 
     @functools.wraps(register)
-    def noted(name: str, *factory: Any, **named: Any) -> None:
-        registered_by_others.add(name)
-        register(name, *factory, **named)
+    def noted(*given: Any, **named: Any) -> None:
+        register(*given, **named)
+        registered_by_others.add(given[0] if given else named["name"])
 
     return noted
 

@@ -28,11 +28,11 @@ def bar(
 ) -> AbstractContextManager[Callable[[float], Any] | None]:
     """Context of the function to report progress to; of None if it is not `shown`.
 
-    Where standard error is a file or a pipe, a line is written about every 30 seconds,
-    however many bars there are one after the other. `how` are the arguments of
-    :class:`tqdm.tqdm`.
+    It is not where there is no standard error. Where that is a file or a pipe, a line
+    is written about every 30 seconds, however many bars there are one after the other.
+    `how` are the arguments of :class:`tqdm.tqdm`.
     """
-    if not shown:
+    if not shown or sys.stderr is None:
         return nullcontext()
     notebook = type(sys.stderr).__module__.startswith("ipykernel")
     in_place = sys.stderr.isatty() or notebook

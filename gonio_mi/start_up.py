@@ -49,15 +49,20 @@ def begin() -> None:
 
 def needs_mitsuba() -> bool:
     """Whether anything but the program with a command that only reads is started."""
-    words = sys.argv[1:]
+    words = _command_line()[1:]
     reads = command_of(words) in WITHOUT_MITSUBA or not {*HELP}.isdisjoint(words)
     return not (is_program() and reads)
 
 
 def is_program() -> bool:
     """Whether the process is the program ``gonio-mi``."""
-    name = os.path.basename(getattr(sys, "argv", [""])[0])
+    name = os.path.basename(_command_line()[0])
     return name.removesuffix(".exe") == PROGRAM
+
+
+def _command_line() -> list[str]:
+    """Program and its words; Python within another program may have none."""
+    return getattr(sys, "argv", None) or [""]
 
 
 def command_of(arguments: Sequence[str]) -> str:

@@ -2,14 +2,14 @@
 
 Importing this package (``import gonio_mi`` does) is enough: before or after
 ``mi.set_variant``, and again at each change of variant. A plugin's module is run when
-the first one of it is made, for it binds Mitsuba's types, and what it imports takes a
-while; its ``PLUGIN`` is what Mitsuba calls.
+the first one of it is made, for what it imports takes a while, and again at each change
+of variant, for it binds Mitsuba's types; its ``PLUGIN`` is what Mitsuba calls.
 """
 
 import functools
 import importlib
+import inspect
 import sys
-import threading
 from typing import Any
 
 import mitsuba as mi
@@ -32,10 +32,6 @@ MODULES = (
     "integrators.goniophotometer",
 )
 
-# Modules that were run for the current variant; Mitsuba may make plugins in threads.
-_run = set[str]()
-_running = threading.RLock()
-
 
 def modules() -> dict[str, str]:
     """Families of all plugins, by the qualified names of their modules."""
@@ -47,22 +43,17 @@ def modules() -> dict[str, str]:
 
 def register() -> None:
     """Register every plugin for the current variant."""
-    _run.clear()
     for module, family in modules().items():
-        name = module.rpartition(".")[2]
-        getattr(mi, f"register_{family}")(name, functools.partial(_made, module))
+        if module in sys.modules:  # with the types of another variant
+            importlib.reload(sys.modules[module])
+        # no plugin of others, as those are that :func:`_watch` notes
+        add = inspect.unwrap(getattr(mi, f"register_{family}"))
+        add(module.rpartition(".")[2], functools.partial(_made, module))
 
 
 def _made(module: str, props: mi.Properties) -> Any:
-    """Plugin with these properties."""
-    with _running:
-        if module not in _run:
-            if module in sys.modules:  # of another variant
-                importlib.reload(sys.modules[module])
-            else:
-                importlib.import_module(module)
-            _run.add(module)
-    return sys.modules[module].PLUGIN(props)
+    """Plugin with these properties; Mitsuba may make plugins in threads."""
+    return importlib.import_module(module).PLUGIN(props)
 
 
 def _changed(_old: str, _new: str) -> None:
@@ -74,9 +65,10 @@ def _changed(_old: str, _new: str) -> None:
 
 def _watch() -> None:
     """Note the plugins that others register, now that ours are."""
-    for name, value in [*vars(mi).items()]:
-        if name.startswith("register_") and not hasattr(value, "__wrapped__"):
-            setattr(mi, name, watched(value))
+    for module in (mi, sys.modules[f"{mi.__name__}.{mi.variant()}"]):
+        for name, value in [*vars(module).items()]:
+            if name.startswith("register_") and not hasattr(value, "__wrapped__"):
+                setattr(module, name, watched(value))
 
 
 if not hasattr(mi.set_variant, "__wrapped__"):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -88,7 +89,8 @@ def loaded_once(
     """Context with the specimen of :func:`.specimen_of`, or with it as it was kept.
 
     It is kept if the context, in which it is tried, gives no error and no warning:
-    these are given each time. There is one at most, until something else is loaded.
+    these are given each time; what Mitsuba logs of it, once. There is one at most, for
+    the thread that loaded it, until something else is loaded or there is an error.
     Never kept are scene files; what holds plugins in Python of others, whose loading
     and trial may do anything; and anything else of which it is not known how it would
     be loaded again.
@@ -102,7 +104,9 @@ def loaded_once(
         yield specimen
         return
     try:
-        given = None if parameters else (mi.variant(), _given(specimen, period))
+        # Dr.Jit 1.5 refuses what another thread has recorded and not yet evaluated
+        where = mi.variant(), threading.get_ident()
+        given = None if parameters else (*where, _given(specimen, period))
     except _CannotTell:
         given = None
     known = kept.pop() if kept else None
@@ -155,8 +159,10 @@ def _content(value: Any) -> Any:
         items = ((key, _content(one)) for key, one in value.items())
         files = map(_content_of_files, value.items())
         return (*items, *files)
-    if value is None or type(value) in (bool, int, float, str):
-        return type(value), repr(value)
+    if value is None or type(value) in (bool, int, str):
+        return type(value), value
+    if type(value) is float:
+        return repr(value)  # tells zeros apart, and NaN equals itself
     if type(value) in (list, tuple):
         return type(value), *map(_content, value)
     if isinstance(value, mi.Object):
@@ -208,6 +214,7 @@ def _content_of_files(item: tuple[str, Any]) -> Any:
         return ()
     names = [value, *(name.format(value) for name in DATA)]
     try:
+        value.encode()  # Mitsuba writes on standard error that it cannot
         found = (Path(str(mi.file_resolver().resolve(name))) for name in names)
         paths = dict.fromkeys([Path(value), *found])
         texts = [path.read_bytes() for path in paths if path.is_file()]

@@ -18,6 +18,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..array_types import Floats
+from ..kernels import called_after_errors
 from ..mitsuba_compat import triangles_of
 from .digest import geometry_hash
 from .scene_objects import traversed
@@ -77,6 +78,7 @@ def scene_of(shapes: Sequence[mi.Shape], groups: Sequence[mi.Shape] = ()) -> mi.
     return scene
 
 
+@called_after_errors
 def forget() -> None:
     """Free what was built last, before what cannot be the same is loaded."""
     _last.clear()

@@ -947,6 +947,17 @@ def test_numpy_gets_no_threads_unless_asked_for(monkeypatch, program, before, af
     assert os.environ.get(name) == after
 
 
+@pytest.mark.parametrize("argv", [None, []])
+def test_a_host_may_have_no_command_line(monkeypatch, argv):
+    """As Python within another program, which has no list of words or an empty one."""
+    monkeypatch.setattr(sys, "argv", argv)
+    if argv is None:
+        monkeypatch.delattr(sys, "argv")
+    start_up.begin()
+    assert start_up.needs_mitsuba()
+    assert not start_up.is_program()
+
+
 def test_doctor(run):
     code, out, _ = run("doctor")
     assert code == 0

@@ -582,6 +582,35 @@ def test_what_was_refused_takes_part_in_no_kernel():
         gc.enable()
 
 
+@pytest.mark.parametrize("where", ["trial", "launch"])
+def test_what_failed_takes_part_in_no_picture_of_the_host(where):
+    """Bumps that Mitsuba cannot compute; of a class the last BSDF is tried."""
+    heights = mi.TensorXf([0, 1, 0, 1], (2, 2, 1))
+    bad, good = (
+        {"type": "checkerboard"},
+        {"type": "bitmap", "data": heights, "raw": True},
+    )
+    bumps = [good, bad] if where == "trial" else [bad, good]
+    plates = {
+        f"plate{i}": {
+            "type": "rectangle",
+            "to_world": mi.ScalarTransform4f().translate([0, 0, i]),
+            "bsdf": {"type": "bumpmap", "bumps": bump, "bsdf": PLATE},
+        }
+        for i, bump in enumerate(bumps)
+    }
+    with pytest.raises(RuntimeError if where == "launch" else SpecimenError) as error:
+        gonio.measure({"type": "scene"} | plates, 30, **SMALL)
+    assert "eval_1_grad" in str(error.value)
+    film = {"type": "hdrfilm", "width": 4, "height": 4, "pixel_format": "luminance"}
+    camera = {"type": "perspective", "film": film}
+    scene = mi.load_dict(
+        {"type": "scene", "a": camera, "b": {"type": "constant"}, "c": {"type": "cube"}}
+    )
+    image = mi.render(scene, integrator=mi.load_dict({"type": "path"}), spp=1)
+    assert dr.all(dr.isfinite(image.array))
+
+
 @pytest.mark.parametrize(
     ("function", "way"),
     [

@@ -74,6 +74,12 @@ def test_nothing_where_it_is_not_wanted(clock, capsys):
     assert not capsys.readouterr().err
 
 
+def test_nothing_where_there_is_no_standard_error(monkeypatch):
+    """As of Python on Windows without a console."""
+    monkeypatch.setattr(sys, "stderr", None)
+    assert [*progress.counted(range(3), True)] == [0, 1, 2]
+
+
 def test_many_rays_are_announced_once(clock):
     """When their speed is known, which the first ones, compiled, do not tell."""
     told = []

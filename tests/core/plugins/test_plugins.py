@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 import gonio_mi as gonio
+from gonio_mi import kernels
+from gonio_mi.kernels import registered_by_others
 
 
 def scene():
@@ -66,11 +68,48 @@ def test_modules_are_run_when_a_plugin_is_first_made():
     assert said(lines) == "[0, 3, 3] 3 9"
 
 
+def test_a_class_that_is_imported_is_that_of_the_plugins():
+    """Before the first one is made, and after a change of variant."""
+    lines = [
+        "import gonio_mi, mitsuba as mi",
+        "alike = []",
+        "for variant in ('llvm_ad_mono', 'llvm_ad_rgb', 'llvm_ad_mono'):",
+        "    mi.set_variant(variant)",
+        "    from gonio_mi.plugins.bsdfs.cosinelobe import CosineLobe",
+        "    alike.append(issubclass(CosineLobe, mi.BSDF))",
+        "    alike.append(type(mi.load_dict({'type': 'cosinelobe'})) is CosineLobe)",
+        "print(alike)",
+    ]
+    assert said(lines) == str([True] * 6)
+
+
 def said(lines):
     """What a process prints that runs some lines."""
     command = [sys.executable, "-c", "\n".join(lines)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     return done.stdout.strip()
+
+
+@pytest.mark.parametrize(
+    ("given", "named"), [((), {}), ((["a"], print), {}), (("a",), {"factory": print})]
+)
+def test_what_cannot_be_registered_is_said_in_words_of_mitsuba(given, named):
+    before = set(registered_by_others)
+    with pytest.raises(TypeError, match="incompatible function arguments"):
+        mi.register_bsdf(*given, **named)
+    assert registered_by_others == before
+
+
+def test_plugins_that_are_registered_are_noted(monkeypatch):
+    """By the function of Mitsuba and of its variant, and none of ours."""
+    noted = set()
+    monkeypatch.setattr(kernels, "registered_by_others", noted)
+    importlib.reload(gonio.plugins)
+    mi.register_bsdf("test_noted", print)
+    mi.register_bsdf(name="test_named", constructor=print)
+    of_variant = sys.modules[f"mitsuba.{mi.variant()}"]
+    of_variant.register_bsdf("test_of_variant", print)
+    assert noted == {"test_noted", "test_named", "test_of_variant"}
 
 
 @pytest.mark.parametrize("name", ["scalar_rgb", "scalar_mono"])

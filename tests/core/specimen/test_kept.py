@@ -400,6 +400,13 @@ def test_what_cannot_be_told_is_loaded(value):
         assert not shapes.kept
 
 
+@pytest.mark.parametrize("value", [10**5000, "\udc80"], ids=["number", "name"])
+def test_what_mitsuba_cannot_read_has_its_sentence(value, capfd):
+    with pytest.raises(SpecimenError, match=r"cannot be loaded"):
+        measured({"type": "diffuse", "reflectance": value})
+    assert not capfd.readouterr().err
+
+
 # ---------------------------------------------------------------------------- as guests
 
 
@@ -428,6 +435,23 @@ def test_threads_take_turns():
     for thread in threads:
         thread.join()
     assert not wrong
+
+
+def test_what_another_thread_has_kept_is_loaded(loads):
+    """Dr.Jit refuses the variables of a thread that is younger than this one."""
+    results = []
+
+    def work():
+        results.extend(measured(field()) for _ in range(2))
+
+    for _ in range(2):
+        thread = threading.Thread(target=work)
+        thread.start()
+        thread.join()
+        work()
+    assert len(results) == 8
+    assert len(set(results)) == 1
+    assert len(loads) == 4
 
 
 def test_a_process_ends_in_order():
