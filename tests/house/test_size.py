@@ -14,27 +14,27 @@ import lines
 # Lines of code: none blank, no comment, no docstring. `python tests/tools/lines.py`.
 BUDGET = {
     "collector": 929,
-    "settings": 630,
-    "results": 3029,
-    "files": 1546,
-    "surfaces": 824,
+    "settings": 633,
+    "results": 3050,
+    "files": 1545,
+    "surfaces": 832,
     "plots": 872,
-    "specimen": 2204,
-    "transport": 3069,
+    "specimen": 2360,
+    "transport": 3100,
     "quadrature": 745,
     "estimators": 1320,
-    "instrument": 1361,
-    "campaigns": 651,
-    "plugins": 866,
+    "instrument": 1369,
+    "campaigns": 652,
+    "plugins": 878,
     "reports": 237,
-    "commands": 1176,
-    "entrance": 1011,
-    "materials": 2826,
-    "exchange": 3865,
-    "analysis": 5683,
-    "validation": 9983,
+    "commands": 1182,
+    "entrance": 1117,
+    "materials": 3010,
+    "exchange": 3886,
+    "analysis": 5852,
+    "validation": 9988,
 }
-CORE, WHOLE = 20470, 42827
+CORE, WHOLE = 20821, 43557
 
 # What a room may have beyond its budget.
 SLACK = 1.03
