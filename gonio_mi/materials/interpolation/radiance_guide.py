@@ -10,14 +10,14 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ...array_types import Floats, Integers
+from ...array_types import Floats, Integers, Singles
 from ...mitsuba_compat import floats
 from .interpolated_bsdf import InterpolatedBSDF
-from .lobes import cumulative
+from .lobes import aligned, cumulative
 from .lookups import TINY, SearchTree, Turn, height, read, singles
 
 # Cells of a table, at most, and lanes that fill them at once.
-MAX_CELLS, MAX_LANES = 2**24, 2**20
+MAX_CELLS, MAX_LANES = 2**24, 2**17
 
 # Points of a cell, and the steps between them: a lattice in three dimensions (Roberts
 # 2018, *The unreasonable effectiveness of quasirandom sequences*).
@@ -67,13 +67,20 @@ class RadianceGuide:
         self.n_rings, self.n_sectors = cells
         self.edges = _sin2(np.arange(self.n_rings + 1) / self.n_rings)
         areas = np.diff(self.edges)[:, None] / np.full(self.n_sectors, self.n_sectors)
-        shares = _shares(self._seen(faces) * areas, areas)
-        self.density = singles(shares / areas)
-        of_rings = shares.sum(axis=-1)
+        density = self._seen(faces)
+        lit = np.asarray(density.any(axis=(1, 3, 4)))[..., None, None]
+        of_rings = np.empty(density.shape[:-1])
+        sectors = np.empty((*of_rings.shape, self.n_sectors - 1), np.float32)
+        for row in np.ndindex(density.shape[:2]):  # all at once need the memory
+            shares = _shares(density[row] * areas, lit[row[0]] * areas)
+            density[row] = shares / areas
+            of_rings[row] = shares.sum(axis=-1)
+            sectors[row] = cumulative(shares)[..., 1:-1]
+        self.density = singles(density)
         self.same_side = singles(of_rings[:, :, 0].sum(axis=-1))
+        rings = cumulative(of_rings)[..., 1:-1]
         self.rings, self.sectors = (
-            SearchTree(cumulative(part).reshape(-1, part.shape[-1] + 1)[:, 1:-1])
-            for part in (of_rings, shares)
+            SearchTree(part.reshape(-1, part.shape[-1])) for part in (rings, sectors)
         )
 
     def pdf(
@@ -148,9 +155,9 @@ class RadianceGuide:
 
     # ---------------------------------------------------------------- what is seen
 
-    def _seen(self, faces: Sequence[InterpolatedBSDF | None]) -> Floats:
+    def _seen(self, faces: Sequence[InterpolatedBSDF | None]) -> Singles:
         """Root mean square of the BSDF in each cell, by the measure of its points."""
-        found = np.zeros(self.shape)
+        found = aligned(self.shape)
         cells = self.n_rings * self.n_sectors * N_POINTS
         at_once = max(1, MAX_LANES // cells)
         for first in range(0, self.n_steps, at_once):
@@ -190,17 +197,13 @@ class RadianceGuide:
         return camera, mi.Vector3f(sine * x, sine * y, dr.safe_sqrt(1 - sin2)), measure
 
 
-def _shares(weights: Floats, areas: Floats) -> Floats:
-    """Shares of the cells of each row; of a row in which there is nothing, 0.
-
-    `EVEN` of them over the hemispheres that have light in any of their side's rows.
-    """
-    over = 2, 3, 4
-    total = weights.sum(over, keepdims=True)
-    even = weights.any(axis=(1, 3, 4), keepdims=True) * areas
-    even = even / np.maximum(even.sum(over, keepdims=True), areas.min())
-    shares = weights / np.where(total > 0, total, 1)
-    return np.where(total > 0, (1 - EVEN) * shares + EVEN * even, 0)
+def _shares(weights: Floats, even: Floats) -> Floats:
+    """Shares of cells by their weights, `EVEN` of them even; 0 if there is nothing."""
+    total = weights.sum()
+    if not total > 0:
+        return np.zeros_like(weights)
+    shares: Floats = (1 - EVEN) * weights / total + EVEN * even / even.sum()
+    return shares
 
 
 def _sin2(height: Any) -> Any:
