@@ -32,10 +32,10 @@ def syntax(function: Recorded) -> Recorded:
 
 @contextlib.contextmanager
 def mitsubas_made_late() -> Iterator[None]:
-    """Context in which Mitsuba's own integrators are imported, by the program.
+    """Context for importing Mitsuba's own integrators, in the program ``gonio-mi``.
 
-    They are ten functions, of which a command calls none, and were a quarter of the CPU
-    time of a short one. Elsewhere ``dr.syntax`` is the host's, and nothing changes.
+    Transforming their ten functions, which no command calls, took a quarter of the CPU
+    time of a short command. In other processes ``dr.syntax`` is left alone.
     """
     if not start_up.is_program():
         yield

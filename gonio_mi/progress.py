@@ -110,7 +110,7 @@ class _Progress:
     Attributes
     ----------
     n : float
-        What is done, with what was before.
+        Count, including the initial one.
     started : float
         Time of the monotonic clock.
     """
@@ -124,12 +124,12 @@ class _Progress:
         return self.report
 
     def report(self, n: float) -> None:
-        """Count so many more, and show it if it is time."""
+        """Add to the count, and update the display if it is due."""
         self.n += n
         self.show()
 
     def show(self) -> None:
-        """Show what is done, if it is time."""
+        """Update the display if it is due."""
         raise NotImplementedError
 
 

@@ -670,12 +670,6 @@ class Estimates:
         return n if self.passes == 1 else np.asarray(-(-n // self.passes))
 
 
-def total_value(tally: Tally, hemisphere: int) -> Floats:
-    """Value of :meth:`Estimates.total`, without what its uncertainty needs."""
-    sums = tally.sums[:, hemisphere].sum(axis=(1, 2))
-    return statistics.ratio(sums, tally.incident)
-
-
 def summed(sums: Numbers, weights: Floats) -> Numbers:
     """Weighted sum over patches, per batch and channel.
 

@@ -102,7 +102,9 @@ class DirectionSummary:
 
     def exceeds_error(self, row: str) -> bool:
         """Whether a row of the ledger is above the totals' statistical error."""
-        error = _largest_error(self.dhr + (self.dht or []))
+        totals = self.dhr + (self.dht or [])
+        limits = [one.low for one in totals], [one.high for one in totals]
+        error = _largest_error(*limits)
         return self.ledger[row] > error * self.ledger["emitted"]
 
 
@@ -246,14 +248,10 @@ def _totals(look: Record, quantity: str) -> list[Total]:
     ]
 
 
-def _largest_error(totals: Sequence[Total]) -> float:
-    """Half the longest interval of those that are known; `MAX_STRAY` at least."""
-    errors = [
-        (one.high - one.low) / 2
-        for one in totals
-        if one.high is not None and one.low is not None
-    ]
-    return max([MAX_STRAY, *errors])
+def _largest_error(low: Any, high: Any) -> float:
+    """Half of the widest interval, at least `MAX_STRAY`; limits may be None or NaN."""
+    errors = (np.array(high, dtype=float) - np.array(low, dtype=float)) / 2
+    return float(np.max(errors, initial=MAX_STRAY, where=np.isfinite(errors)))
 
 
 def _worst_patches(look: Record) -> list[PatchSummary]:
@@ -356,9 +354,8 @@ def lost_light(record: Record) -> list[str]:
         """Statistical error of a direction, which takes longer than a few rays."""
         light = record.estimates[number]
         totals = (light.total(i) for i in range(record.n_hemispheres))
-        limits = np.array([total.interval(LEVEL) for total in totals])
-        errors = (limits[:, 1] - limits[:, 0]) / 2
-        return float(np.max(errors, initial=MAX_STRAY, where=np.isfinite(errors)))
+        low, high = zip(*(total.interval(LEVEL) for total in totals))
+        return _largest_error(low, high)
 
     def exceeds(row: str) -> bool:
         """Whether a row is above the statistical error in any direction."""

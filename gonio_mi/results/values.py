@@ -23,7 +23,6 @@ from .estimates import (
     IntegralEstimate,
     SampledEstimate,
     SplitEstimate,
-    total_value,
 )
 from .mueller import MuellerEstimate, MuellerEstimates, checked_stokes
 from .provenance import FACETS, Provenance
@@ -415,11 +414,7 @@ class MeasuredValues:
 
     def _value(self, of: str) -> Floats:
         """Value of a quantity, read-only; patches of chance below 0 are 0 on facets."""
-        if of in TOTALS:
-            hemisphere = self._hemisphere(of)
-            each = np.stack([total_value(one, hemisphere) for one in self.tallies])
-        else:
-            each = np.stack([one.value for one in self._each(of)])
+        each = np.stack([one.value for one in self._each(of)])
         if of in ("brdf", "btdf") and self.provenance.transport == FACETS:
             each = np.maximum(each, 0.0)
         return read_only_array(self._squeeze(each) / self._solid(of))

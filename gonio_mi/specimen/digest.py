@@ -70,9 +70,9 @@ def digest(things: Iterable[Any]) -> str:
 
 
 def digest_and_parts(things: Iterable[mi.Object]) -> tuple[str, list[mi.Object]]:
-    """:func:`digest` of what holds no plugins in Python of others, and its parts.
+    """:func:`digest` of things without others' Python plugins, and their parts.
 
-    The parts are all objects that Mitsuba tells of. It takes half as long.
+    The parts are all objects that ``mi.traverse`` visits. It takes half as long.
     """
     each, parts = [], list[mi.Object]()
     for thing in things:
@@ -183,7 +183,7 @@ _known: weakref.WeakKeyDictionary[type, frozenset[str]] = weakref.WeakKeyDiction
 
 
 def kinds_of(things: Iterable[mi.Object]) -> set[type]:
-    """Classes of objects of a scene and of what they hold."""
+    """Classes of scene objects and of everything they contain."""
     return {type(held) for thing in things for held in held_objects(thing)}
 
 

@@ -1,7 +1,7 @@
 """The specimen of the last measurement, kept while nothing of it changes.
 
-A measurement loads its specimen, describes it, tries it and takes its digest. Of the
-same specimen again, only the digest is taken: if it is that of before, so is all else.
+A measurement loads its specimen, describes it, tries it and computes its digest. If the
+next one is given the same, only the digest is computed again and compared.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ DATA = "data/ior/{}.eta.spd", "data/ior/{}.k.spd"
 
 
 class _CannotTell(Exception):  # noqa: N818
-    """Whether something is the same the next time cannot be told."""
+    """It cannot be determined whether a later call would load the same."""
 
 
 class _Same:
-    """Object that equals itself alone."""
+    """Wrapper that compares objects by identity."""
 
     def __init__(self, thing: mi.Object) -> None:
         self.thing = thing
@@ -53,7 +53,7 @@ class _Same:
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """A specimen with what tells whether it would be another one now.
+    """A specimen, and the data to check that it is still up to date.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class Kept:
         In effect: given, or of the scene's integrator.
     specimen : Specimen
     parts : list of mi.Object
-        All that it holds.
+        Every object it contains.
     """
 
     given: Any
@@ -72,7 +72,7 @@ class Kept:
     parts: list[mi.Object]
 
     def is_same(self, given: Any, period: Any) -> bool:
-        """Whether what is given now would be loaded as this, which is unchanged."""
+        """Whether loading again would give the same specimen."""
         specimen = self.specimen
         if self.given != given or period_of(specimen.source, period) != self.period:
             return False
@@ -91,9 +91,8 @@ def loaded_once(
     It is kept if the context, in which it is tried, gives no error and no warning:
     these are given each time; what Mitsuba logs of it, once. There is one at most, for
     the thread that loaded it, until something else is loaded or there is an error.
-    Never kept are scene files; what holds plugins in Python of others, whose loading
-    and trial may do anything; and anything else of which it is not known how it would
-    be loaded again.
+    Never kept are scene files; specimens with others' Python plugins, whose loading and
+    trial may have side effects; and anything else whose reloading cannot be predicted.
 
     Parameters
     ----------
@@ -121,7 +120,7 @@ def loaded_once(
 
 
 def _to_keep(given: Any, specimen: Specimen) -> Kept | None:
-    """What is kept of a specimen that was loaded from what was `given`, if anything."""
+    """Specimen to keep with the content it was loaded from; None if it cannot be."""
     if given is None or specimen.holds_foreign:
         return None
     parts = specimen.state()[1]
@@ -150,9 +149,9 @@ def _objects(content: Any) -> Iterator[mi.Object]:
 
 
 def _content(value: Any) -> Any:
-    """What tells a value from others, in a copy; of objects these themselves.
+    """Comparable copy of a value; Mitsuba's objects compare by identity.
 
-    Raise _CannotTell for what may be loaded otherwise though it is equal.
+    Raise _CannotTell for values that may load differently although they are equal.
     """
     if isinstance(value, dict):
         _check_plugin(value.get("type"))
@@ -177,6 +176,7 @@ def _content(value: Any) -> Any:
 
 
 def _is_of_mitsuba(value: Any) -> bool:
+    """Whether a class of Mitsuba's has made it."""
     return type(value).__module__.partition(".")[0] == "mitsuba"
 
 
@@ -190,10 +190,10 @@ def _numbers(value: Any) -> Any:
 
 
 def _check_plugin(name: Any) -> None:
-    """Raise _CannotTell unless a plugin is Mitsuba's or ours, as all that it loads.
+    """Raise _CannotTell unless a plugin is one of Mitsuba's or ours.
 
-    One of another name may be a function of anybody's, as may be those that others
-    have put in place of Mitsuba's and ours.
+    Others may be arbitrary functions. So may any plugin once others have registered
+    their own under a name of Mitsuba's or ours.
     """
     known = _known_plugins()
     if not (isinstance(name, str) and name in known):
@@ -208,7 +208,7 @@ def _known_plugins() -> frozenset[str]:
 
 
 def _content_of_files(item: tuple[str, Any]) -> Any:
-    """Digests of files that a text of a dictionary may name."""
+    """Digests of the files that a string in a dictionary may refer to."""
     key, value = item
     if not isinstance(value, str) or key in ("type", "id"):
         return ()

@@ -6,7 +6,16 @@ from collections.abc import Sequence
 
 import mitsuba as mi
 
-from . import commands, growth, materials, reference_cases, round_trips, stock, windows
+from . import (
+    commands,
+    growth,
+    materials,
+    pictures,
+    reference_cases,
+    round_trips,
+    stock,
+    windows,
+)
 from .automatic import print_auto_costs, print_auto_coverage
 from .batch_designs import print_ratios
 from .counting import print_rates
@@ -23,6 +32,7 @@ TABLES = {
     "commands": commands.main,
     "growth": growth.main,
     "materials": materials.main,
+    "pictures": pictures.main,
     "reference_cases": reference_cases.main,
     "round_trips": round_trips.main,
     "stock": stock.main,

@@ -2,7 +2,8 @@
 
 A specimen is measured with a tolerance, its file (`goniometric`) and the model itself
 are rendered in turns by `path`: a sphere in a white room. Printed are the CPU seconds
-of both, their ratio, and the light of the one over that of the other.
+of both, their ratio, and the light and the variance of pixels (over the seeds) of the
+one over those of the other.
 """
 
 import tempfile
@@ -26,7 +27,7 @@ MODELS: dict[str, dict[str, Any]] = {
     "anisotropic principled": {"type": "principled"} | PRINCIPLED,
     "rough glass": {"type": "roughdielectric"} | GGX,
 }
-TOLERANCE, SIZE, RAYS, REPEATS = 0.02, 128, 64, 5
+TOLERANCE, SIZE, RAYS, REPEATS = 0.02, 128, 64, 16
 
 
 def scene(bsdf: dict[str, Any]) -> Any:
@@ -45,24 +46,29 @@ def scene(bsdf: dict[str, Any]) -> Any:
     )
 
 
-def compared(model: dict[str, Any], tolerance: float) -> tuple[float, float, float]:
-    """CPU seconds of a picture of the model and of its material, and their light."""
+def compared(
+    model: dict[str, Any], tolerance: float
+) -> tuple[float, float, float, float]:
+    """CPU seconds of pictures of both; the ratios of their light and variance."""
     with tempfile.TemporaryDirectory() as folder:
         path = str(Path(folder) / "material.npz")
         campaign({"it": model}, tolerance=tolerance)["it"].save(path)
         material = scene({"type": "goniometric", "filename": path})
-    light: dict[str, list[float]] = {"model": [], "material": []}
+    seen: dict[str, list[Any]] = {"model": [], "material": []}
 
     def render(name: str, of: Any) -> None:
-        image = mi.render(of, spp=RAYS, seed=len(light[name]))
+        image = mi.render(of, spp=RAYS, seed=len(seen[name]))
         middle = slice(SIZE // 4, -SIZE // 4)
-        light[name].append(float(np.array(image)[middle, middle].mean()))
+        seen[name].append(np.array(image, dtype=float)[middle, middle])
 
     scenes = {"model": scene(model), "material": material}
     runs = {name: partial(render, name, of) for name, of in scenes.items()}
     times = in_turns(runs, REPEATS)
-    ratio = np.mean(light["material"]) / np.mean(light["model"])
-    return times["model"].cpu, times["material"].cpu, float(ratio)
+    light, variance = (
+        float(of(seen["material"]) / of(seen["model"]))
+        for of in (np.mean, lambda images: np.var(images, axis=0, ddof=1).mean())
+    )
+    return times["model"].cpu, times["material"].cpu, light, variance
 
 
 def main(words: Sequence[str]) -> None:
@@ -71,8 +77,8 @@ def main(words: Sequence[str]) -> None:
     rows = []
     for name, model in MODELS.items():
         if not words or name.startswith(tuple(words)):
-            own, cpu, light = compared(model, TOLERANCE)
-            columns = f"{own:.2f}", f"{cpu:.2f}", f"{cpu / own:.1f}", f"{light:.4f}"
-            rows.append((name, *columns))
-    header = ("specimen", "model, s", "material, s", "ratio", "light")
+            own, cpu, light, variance = compared(model, TOLERANCE)
+            columns = f"{own:.2f}", f"{cpu:.2f}", f"{cpu / own:.1f}"
+            rows.append((name, *columns, f"{light:.4f}", f"{variance:.2f}"))
+    header = ("specimen", "model, s", "material, s", "ratio", "light", "variance")
     print_table(f"materials of tolerance {TOLERANCE:g}", header, rows)

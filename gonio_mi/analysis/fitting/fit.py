@@ -175,7 +175,7 @@ def _result(
 def _near(
     record: Record | MeasuredTable, fitted: FittedModel | FittedScene
 ) -> list[str]:
-    """A note on a record of the near field, which a scene is measured as."""
+    """Note on a near-field record; none for a scene, which is measured likewise."""
     if isinstance(record, Record) and isinstance(fitted, FittedModel):
         return near_field(record)
     return []

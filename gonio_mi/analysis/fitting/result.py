@@ -85,8 +85,8 @@ class Fit(Model):
     derivatives : {"exact", "differences"}
         By what the search and the uncertainties know how the model changes.
     notes : tuple of str
-        What a reader of the result should know: of a scene, where the search began if
-        that is not clear, and why derivatives by some parameters are differences.
+        Remarks on the fit: for a scene, ambiguous starting values, and reasons for
+        finite differences; for a BSDF, a near-field record.
     """
 
     record: Record | MeasuredTable

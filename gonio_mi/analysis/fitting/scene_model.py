@@ -137,7 +137,7 @@ class FittedScene(Limited):
         return ["+".join(keys) for keys in self.keys]
 
     def refusals(self, values: Floats) -> dict[str, str]:
-        """Why light is not differentiated by some of the parameters, by their names."""
+        """Reason why a parameter is not differentiable, for each that is not."""
         found = {}
         with self.at(values) as scene:
             specimen = specimen_of(scene, period=self.record.asked.period)
@@ -197,7 +197,7 @@ class SceneSearch(Search):
     derivatives : {"exact", "differences"}
         What measurements tell of themselves, or differences of some.
     refused : dict of str to str
-        Why derivatives by some parameters are differences.
+        Reasons for finite differences, by parameter.
     """
 
     def __init__(
@@ -245,7 +245,7 @@ class SceneSearch(Search):
         return found
 
     def _refuse(self, values: Floats, why: str) -> None:
-        """Take differences from now on, by what is refused; if all is, for this."""
+        """Switch to differences for what is not differentiable; for all if unknown."""
         names = [name for name in self.model.names if name not in self.refused]
         found = self.model.refusals(values)
         new = {name: found[name] for name in names if name in found}
@@ -254,7 +254,7 @@ class SceneSearch(Search):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the model says of its start, and why derivatives are differences."""
+        """Notes on starting values, and reasons for finite differences."""
         reasons = [
             f"derivatives by {name} are differences: {why}"
             for name, why in self.refused.items()
@@ -308,13 +308,13 @@ class SceneSearch(Search):
         return np.stack(columns, axis=-1)
 
     def _difference(self, values: Floats, i: int) -> Floats:
-        """Derivative by one parameter, from measurements on both sides of its value."""
+        """Central difference by one parameter."""
         low, high = (one[i] for one in self.model.limits)
         step = DIFFERENCE * max(abs(values[i]), (high - low) / 10)
         ends = np.array([values, values])
         ends[:, i] = np.clip([values[i] + step, values[i] - step], low, high)
-        more, less = (_fluxes(self._measured("beside", end)) for end in ends)
-        return (more - less) / (ends[0, i] - ends[1, i])
+        above, below = (_fluxes(self._measured("beside", end)) for end in ends)
+        return (above - below) / (ends[0, i] - ends[1, i])
 
     def count(self) -> float:
         """How many values chi-square has; one of less than a hit counts in part."""
@@ -350,7 +350,7 @@ def _variances(observed: Sequence[RecordObservations]) -> Floats:
 def _flux_gradient(record: Record, key: str) -> Floats:
     """Derivative of the flux fractions of all detectors, in one row for each record.
 
-    It is 0 where nothing came, and NaN where the BSDF has no derivative.
+    Zero for detectors without hits; a NaN of the BSDF is an error.
     """
     solid = record.subdivision.projected_solid_angles[..., None]
     rows, sides = [], ("brdf", "btdf")[: record.n_hemispheres]
@@ -360,7 +360,7 @@ def _flux_gradient(record: Record, key: str) -> Floats:
     found = np.concatenate(rows)
     if np.isnan(found).any():
         raise SpecimenError(
-            f"the derivative by {key} is no number at {np.isnan(found).sum()} of "
+            f"the derivative by {key} is NaN at {np.isnan(found).sum()} of "
             f"{found.size} detectors: give the parameter as known, or other limits"
         )
     return found

@@ -43,9 +43,9 @@ def radiance_guide(faces: Sequence[InterpolatedBSDF | None]) -> RadianceGuide | 
 class RadianceGuide:
     r"""Density of directions that is constant in cells, for each step of incidence.
 
-    It need not be the material's, but near to it: a picture weighs each direction by
-    value over density. For even weights a cell has the root mean square of what is seen
-    there.
+    A picture weights each direction by value over density, so that the density only
+    affects the variance. That is smallest if the density of a cell is proportional to
+    the root mean square of its values.
 
     Cells are even steps of :func:`.height` and of the angle about the normal, as the
     perimeter of a square measures it. In a cell, points are even in that angle and in

@@ -17,7 +17,6 @@ from gonio_mi.results.estimates import (
     Estimates,
     IntegralEstimate,
     SplitEstimate,
-    total_value,
 )
 from gonio_mi.results.tally import WEIGHT_SCALE, Fate, Integrals, Tally
 
@@ -69,21 +68,6 @@ def test_values_and_standard_errors():
     totals = hits.sum(axis=0)
     close(estimates.total(0).value[0], totals.sum() * 0.5 / (2 * RAYS))
     close(estimates.total(0).std_err[0], abs(np.diff(totals)[0]) / 2 * 0.5 / RAYS)
-
-
-@pytest.mark.parametrize("channels", [1, 3])
-def test_a_total_is_the_same_without_its_error(channels):
-    """Exact: the same sums in the same order, of either hemisphere."""
-    rng = np.random.default_rng(channels)
-    sums = rng.random((16, 2, 30, 30, channels))
-    incident = 1 + rng.random((16, channels))
-    fates = np.ones((16, len(Fate)), np.uint64)
-    one = Tally(np.ones((2, 30, 30), np.uint64), sums, incident, fates, 1)
-    for hemisphere in (0, 1):
-        found, other = (total_value(one, h) for h in (hemisphere, 1 - hemisphere))
-        expected = Estimates(one).total(hemisphere).value
-        assert np.array_equal(found, expected)
-        assert not np.array_equal(other, expected)
 
 
 @pytest.mark.parametrize(("independent", "by_student"), [(True, 1), (False, 3)])
