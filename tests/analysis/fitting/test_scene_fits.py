@@ -235,7 +235,7 @@ def test_a_derivative_that_is_no_number_is_no_0(monkeypatch):
         return value
 
     monkeypatch.setattr(gonio.Record, "gradient", gradient)
-    with pytest.raises(gonio.SpecimenError, match="is no number at 1 of 72 detectors"):
+    with pytest.raises(gonio.SpecimenError, match="is NaN at 1 of 72 detectors"):
         searched(blend(0.1), ["alpha.value"], record)
 
 
