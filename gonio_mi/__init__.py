@@ -46,7 +46,7 @@ def _offers() -> dict[str, str]:
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name; what there is, is looked up when it is first asked for."""
+    """Import a public name on first access."""
     if name == "OFFERS":
         return _offers()
     if name == "__all__":

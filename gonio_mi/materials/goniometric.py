@@ -101,7 +101,7 @@ class Goniometric(mi.BSDF):
     :math:`\eta` either, but both faces. Of isotropic records, directions are drawn of a
     table that is coarse but of these very values: for each step of the camera's polar
     angle, as many as the record has rings of patches, what is seen from there in cells
-    as large as patches. One in fifty is drawn evenly, so that nothing is missed.
+    as large as patches. One in fifty is drawn uniformly, which bounds the weights.
     Weights vary as far as values do within a cell. Of anisotropic records, or if there
     are more than 16 million cells, directions are drawn as in importance mode and, for
     one sample in ten, by the cosine; weights vary as far as the record is not
@@ -154,7 +154,7 @@ class Goniometric(mi.BSDF):
         #: patches in which the front and the back were measured
         self.patches = tuple(face and face.patches for face in self.faces)
         self._declare()
-        #: what is drawn in radiance mode, if not what is in importance mode
+        #: sampling table of radiance mode; None if lobes are sampled there, too
         self.guide = radiance_guide(self.faces)
 
     def wavelength_range(self) -> tuple[float, float]:
@@ -228,7 +228,7 @@ class Goniometric(mi.BSDF):
         return bsdf_functions.depolarised(value), pdf
 
     def _guide(self, ctx: mi.BSDFContext) -> RadianceGuide | None:
-        """What directions are drawn of; None where it is the lobes."""
+        """Sampling table of radiance mode; None if lobes are sampled instead."""
         return None if ctx.mode == mi.TransportMode.Importance else self.guide
 
     def _drawn_of_lobes(
@@ -239,7 +239,7 @@ class Goniometric(mi.BSDF):
         sample2: mi.Point2f,
         active: mi.Bool | bool,
     ) -> mi.Vector3f:
-        """Direction drawn of the lobes; in radiance mode some are drawn evenly."""
+        """Sample of the lobes; in radiance mode a tenth by the cosine."""
         drawn = mi.Vector3f(0)
         for side, guide, hemispheres in self._guides(ctx):
             lit = active & (wi.z * side > 0)

@@ -100,7 +100,7 @@ def geometry_hash(shapes: Iterable[mi.Shape]) -> int:
 
 
 def _object_digest(thing: Any, foreign: Iterable[mi.Object], parameters: Any) -> str:
-    """SHA-256 of one object, hexadecimal; `parameters` are what is traversed of it."""
+    """SHA-256 of one object, hexadecimal, from its traversed `parameters`."""
     found = hashlib.sha256()
     for text in _texts(thing):
         found.update(ADDRESS.sub("", text).encode())

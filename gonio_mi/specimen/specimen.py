@@ -304,9 +304,9 @@ class Specimen:
         return digest(self._digested())
 
     def state(self) -> tuple[str, list[mi.Object]]:
-        """Digest as it would be now, and what the shapes are and hold.
+        """Current digest, and all objects in the shapes.
 
-        For one that holds no plugins in Python of others.
+        For specimens without others' Python plugins.
         """
         return digest_and_parts(self._digested())
 
@@ -317,7 +317,7 @@ class Specimen:
 
     @cached_property
     def kinds(self) -> set[type]:
-        """Classes of what its shapes are and hold."""
+        """Classes of its shapes and of everything they contain."""
         return kinds_of(self.scene.shapes())
 
     @property

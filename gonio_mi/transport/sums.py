@@ -566,13 +566,13 @@ def _room(n: int) -> mi.Int64:
 
 
 def _spare_room(n: int) -> mi.Int64:
-    """Zeros for `n` sums of which few are used: the others take no memory, nor time.
+    """Zeros for `n` sums, few of which are used.
 
-    The system makes the pages that are added to.
+    Anonymous memory: the system only allocates the pages that are written to.
     """
     if n <= dr.expand_threshold() or not mi.variant().startswith("llvm"):
         return _room(n)
-    # on Windows they are private anyway
+    # always private on Windows
     posix = (
         {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS} if os.name == "posix" else {}
     )

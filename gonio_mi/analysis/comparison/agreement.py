@@ -296,7 +296,7 @@ def _trace_of_square(one: PointPairs, sigma: Floats) -> float:
 
 
 def _common_roots(one: PointPairs, sigma: Floats) -> Floats:
-    """Roots of the correlation that is known: errors of the sets together.
+    """Roots of the correlations that are common to all sets.
 
     A fit's parameters are off by the same at all directions; of what batches tell, each
     set has its own.
@@ -307,7 +307,7 @@ def _common_roots(one: PointPairs, sigma: Floats) -> Floats:
 
 
 def _trace_between(sets: Sequence[PointPairs], common: Sequence[Floats]) -> float:
-    """What errors in common add to the trace of R^2 between points of unlike sets.
+    """Contribution of common errors between sets to the trace of R^2.
 
     Copies of one direction have counted each other already, with all their errors.
     """

@@ -171,7 +171,7 @@ CONDITIONS = (
     *("collector_radius", "period", "order", "max_depth", "max_scatterings"),
 )
 
-# Those that a model is known by: it has light of any side, from far away.
+# Those that matter for a model, which has far-field light of either side.
 OF_MODELS = ("order", "max_depth", "max_scatterings")
 
 
@@ -195,7 +195,7 @@ def unlike_conditions(
 
 
 def notes_on_model(model: Model, data: Record | MeasuredTable) -> list[str]:
-    """Notes on a model beside what it was fitted to, or what is measured otherwise."""
+    """Notes on data that a model was fitted to, or whose conditions differ."""
     own = model.record
     if isinstance(own, MeasuredTable) and isinstance(data, MeasuredTable):
         is_it = own.name == data.name
@@ -214,7 +214,7 @@ def notes_on_model(model: Model, data: Record | MeasuredTable) -> list[str]:
 
 
 def _channels(one: Record | MeasuredTable) -> tuple[str, ...]:
-    """Names of channels; none of what is grey."""
+    """Names of channels; empty for monochrome data."""
     if isinstance(one, MeasuredTable):
         return (one.channel,) if one.channel else ()
     return () if one.channels == ("Y",) else one.channels

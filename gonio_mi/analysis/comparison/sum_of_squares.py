@@ -1,4 +1,4 @@
-"""Probability of a sum of squared normal scores that have errors in common."""
+"""Tail probability of a sum of squares of correlated normal scores."""
 
 from __future__ import annotations
 

@@ -374,7 +374,7 @@ def check_table(table: MeasuredTable) -> None:
 
 
 def near_field(record: Record) -> list[str]:
-    """A note on a collector that is near, where directions are not a model's."""
+    """Note on a near-field collector, whose directions differ from a model's."""
     asked = record.asked
     if not asked.collector_radius or asked.footprint == "point":
         return []

@@ -1,4 +1,4 @@
-"""Which directions to draw in pictures: a table of what a camera sees of two faces."""
+"""Importance sampling for radiance mode: a coarse table of the values of two faces."""
 
 from __future__ import annotations
 
@@ -23,8 +23,9 @@ MAX_CELLS, MAX_LANES = 2**24, 2**17
 # 2018, *The unreasonable effectiveness of quasirandom sequences*).
 N_POINTS, STEPS = 4, (0.8191725, 0.6710436, 0.5497005)
 
-# Fraction of the directions that are drawn evenly, so that nothing is missed.
-EVEN = 0.02
+# Fraction of uniformly drawn directions, which bounds the weights (defensive sampling,
+# Hesterberg 1995, doi:10.1080/00401706.1995.10484303).
+DEFENSIVE = 0.02
 
 
 def radiance_guide(faces: Sequence[InterpolatedBSDF | None]) -> RadianceGuide | None:
@@ -144,7 +145,7 @@ class RadianceGuide:
         return row, Turn(cos, sin)
 
     def _is_lit(self, wi: mi.Vector3f) -> mi.Bool:
-        """Whether anything is known of the side of the camera."""
+        """Whether the camera's side has a table."""
         return wi.z != 0 if self.n_sides > 1 else wi.z > 0
 
     def _lobe(self, row: mi.UInt32, through: mi.Bool) -> mi.UInt32:
@@ -198,11 +199,11 @@ class RadianceGuide:
 
 
 def _shares(weights: Floats, even: Floats) -> Floats:
-    """Shares of cells by their weights, `EVEN` of them even; 0 if there is nothing."""
+    """Probabilities of cells, `DEFENSIVE` of them uniform; 0 without any weight."""
     total = weights.sum()
     if not total > 0:
         return np.zeros_like(weights)
-    shares: Floats = (1 - EVEN) * weights / total + EVEN * even / even.sum()
+    shares: Floats = (1 - DEFENSIVE) * weights / total + DEFENSIVE * even / even.sum()
     return shares
 
 
